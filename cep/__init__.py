@@ -1,0 +1,1 @@
+"""Coded exposure: shutter codes, their MTF along a trajectory, search, restoration and reports."""

@@ -1,0 +1,60 @@
+"""What every estimator returns, and the one Protocol they share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motdiff.trajectory import Trajectory
+
+__all__ = ["Estimator", "MotionEstimate"]
+
+
+@dataclass(frozen=True)
+class MotionEstimate:
+    """The motion found in one photo.
+
+    Attributes
+    ----------
+    method : str
+        Name of the estimator.
+    trajectories : tuple of Trajectory
+        Best first; alternatives follow.
+    weights : tuple of float
+        Probability of each trajectory; they sum to 1.
+    psf : (S, S) float
+        The blur kernel as this method estimates it: non-negative, sum 1, zero displacement at index ``S // 2``.
+    confidence : float
+        0..1, how likely the estimate is good rather than lost.
+    warnings : tuple of str
+        What the user should know, one sentence each.
+    details : dict
+        Figures behind the estimate (JSON-able), for the report.
+    """
+
+    method: str
+    trajectories: tuple[Trajectory, ...]
+    weights: tuple[float, ...]
+    psf: NDArray[np.float64]
+    confidence: float
+    warnings: tuple[str, ...] = ()
+    details: dict[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.trajectories or len(self.trajectories) != len(self.weights):
+            raise ValueError("trajectories: need at least one, and as many weights")
+        if not np.isclose(sum(self.weights), 1) or min(self.weights) < 0:
+            raise ValueError(f"weights: must be non-negative and sum to 1, got {self.weights}")
+        if not 0 <= self.confidence <= 1:
+            raise ValueError(f"confidence: must lie within 0..1, got {self.confidence}")
+
+
+class Estimator(Protocol):
+    """Anything that turns a blurred photo into a motion estimate."""
+
+    def estimate(self, photo: NDArray[np.float64]) -> MotionEstimate:
+        """Estimate the motion from ``photo``, (H, W) or (H, W, 3) float, linear light 0..1."""
+        ...

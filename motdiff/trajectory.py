@@ -1,0 +1,308 @@
+"""The path a camera draws during one exposure, with its exact OTF, PSF and HR map (numpy only).
+
+A :class:`Trajectory` is piecewise linear in time. Everything here follows from that one statement: the OTF is a sum of
+closed-form segment terms, and the PSF on a pixel grid is integrated exactly, so no rasterising error enters a design.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from motdiff import rasterise
+
+__all__ = ["Direction", "Segments", "Trajectory", "bilinear_otf", "pixel_aperture_otf"]
+
+Direction = Literal["known", "unknown"]
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_CENTRE_TOLERANCE_PX = 1e-6
+_OTF_CHUNK = 2**22  # complex numbers held at once while summing segment terms
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Straight pieces of a trajectory, cut at the edges of time slices.
+
+    Attributes
+    ----------
+    slice_index : (S,) int
+        The time slice that each piece belongs to.
+    dt : (S,) float
+        Duration, as a fraction of the exposure.
+    a, b : (S, 2) float
+        Start and end, px.
+    """
+
+    slice_index: NDArray[np.intp]
+    dt: FloatArray
+    a: FloatArray
+    b: FloatArray
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A motion trajectory: image displacement over the exposure.
+
+    Parameters
+    ----------
+    t : (T,) float
+        Times as a fraction of the exposure, strictly increasing from 0 to 1. Dwell is their spacing.
+    xy : (T, 2) float, px
+        Displacement, x to the right and y down, with its time-mean at (0, 0) and straight between samples.
+    direction : {"known", "unknown"}
+        Whether the order in time is known, or only up to reversal (one uncoded photo can never tell).
+
+    Raises
+    ------
+    ValueError
+        If the samples are fewer than two, not finite, not increasing, or not centred.
+
+    See Also
+    --------
+    Trajectory.from_samples : centres the path and rescales the times.
+    """
+
+    t: FloatArray
+    xy: FloatArray
+    direction: Direction = "unknown"
+
+    def __post_init__(self) -> None:
+        t = np.array(self.t, dtype=np.float64)
+        xy = np.array(self.xy, dtype=np.float64)
+        if t.ndim != 1 or xy.shape != (t.size, 2):
+            raise ValueError(f"trajectory: t must be (T,) and xy (T, 2), got {t.shape} and {xy.shape}")
+        if t.size < 2:
+            raise ValueError(f"trajectory: needs at least 2 samples, got {t.size}")
+        if not (np.isfinite(t).all() and np.isfinite(xy).all()):
+            raise ValueError("trajectory: t and xy must be finite, found NaN or infinity")
+        if not (np.diff(t) > 0).all():
+            where = int(np.argmin(np.diff(t))) + 1
+            raise ValueError(f"trajectory: t must be strictly increasing, but t[{where}] <= t[{where - 1}]")
+        if abs(t[0]) > 1e-9 or abs(t[-1] - 1) > 1e-9:
+            raise ValueError(f"trajectory: t must run from 0 to 1, got {t[0]:g} to {t[-1]:g}")
+        if self.direction not in ("known", "unknown"):
+            raise ValueError(f'trajectory: direction must be "known" or "unknown", got {self.direction!r}')
+        mean = _time_mean(t, xy)
+        if np.abs(mean).max() > _CENTRE_TOLERANCE_PX * max(1.0, float(np.abs(xy).max())):
+            raise ValueError(
+                f"trajectory: time-mean must be at (0, 0), got ({mean[0]:.3g}, {mean[1]:.3g}); use from_samples"
+            )
+        t[0], t[-1] = 0.0, 1.0
+        t.setflags(write=False)
+        xy.setflags(write=False)
+        object.__setattr__(self, "t", t)
+        object.__setattr__(self, "xy", xy)
+
+    # -- making one ---------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_samples(cls, xy: ArrayLike, *, t: ArrayLike | None = None, direction: Direction = "unknown") -> Trajectory:
+        """Make a trajectory from raw samples: times are rescaled to 0..1 and the path is centred.
+
+        Parameters
+        ----------
+        xy : (T, 2) array_like, px
+        t : (T,) array_like, optional
+            Strictly increasing times in any unit; evenly spaced when omitted.
+        direction : {"known", "unknown"}
+
+        Raises
+        ------
+        ValueError
+            As the constructor.
+        """
+        points = np.asarray(xy, dtype=np.float64)
+        times = np.linspace(0, 1, len(points)) if t is None else np.asarray(t, dtype=np.float64)
+        well_formed = times.ndim == 1 and times.size > 1 and points.shape == (times.size, 2)
+        if well_formed and np.isfinite(times).all() and np.isfinite(points).all() and times[-1] > times[0]:
+            times = (times - times[0]) / (times[-1] - times[0])
+            points = points - _time_mean(times, points)
+        return cls(times, points, direction)
+
+    @classmethod
+    def straight(cls, length_px: float, *, angle_rad: float = 0.0, direction: Direction = "unknown") -> Trajectory:
+        """Make a uniform straight motion of ``length_px``; the angle turns from +x (right) towards +y (down).
+
+        Examples
+        --------
+        >>> Trajectory.straight(20.0).length_px
+        20.0
+        """
+        end = 0.5 * length_px * np.array([np.cos(angle_rad), np.sin(angle_rad)])
+        return cls(np.array([0.0, 1.0]), np.array([-end, end]), direction)
+
+    # -- measuring and changing one -----------------------------------------------------------------------------
+
+    @property
+    def x(self) -> FloatArray:
+        """(T,) displacement to the right, px."""
+        return self.xy[:, 0]
+
+    @property
+    def y(self) -> FloatArray:
+        """(T,) displacement down, px."""
+        return self.xy[:, 1]
+
+    @property
+    def length_px(self) -> float:
+        """Arc length, px."""
+        return float(self.arc_px[-1])
+
+    @property
+    def arc_px(self) -> FloatArray:
+        """(T,) arc length from the start up to each sample, px."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.xy, axis=0), axis=1))])
+
+    @property
+    def extent_px(self) -> float:
+        """Larger side of the bounding box, px."""
+        return float(np.ptp(self.xy, axis=0).max())
+
+    def at(self, t: ArrayLike) -> FloatArray:
+        """Displacement (..., 2) px at times ``t`` (...) as a fraction of the exposure."""
+        times = np.asarray(t, dtype=np.float64)
+        return np.stack([np.interp(times, self.t, self.x), np.interp(times, self.t, self.y)], axis=-1)
+
+    def reversed(self) -> Trajectory:
+        """Return the same path run backwards: the uncoded OTF becomes its conjugate, up to the same centroid."""
+        return replace(self, t=1.0 - self.t[::-1], xy=self.xy[::-1])
+
+    def mirrored(self) -> Trajectory:
+        """Return the path rotated by 180 degrees, ``p -> -p``: its OTF is the conjugate."""
+        return replace(self, xy=-self.xy)
+
+    def scaled(self, factor: float) -> Trajectory:
+        """Return the path enlarged by ``factor`` (photos resized by ``factor`` have this motion)."""
+        if not (np.isfinite(factor) and factor > 0):
+            raise ValueError(f"factor must be a positive number, got {factor}")
+        return replace(self, xy=self.xy * factor)
+
+    def resampled(self, samples: int) -> Trajectory:
+        """Return ``samples`` samples evenly spaced in time."""
+        t = np.linspace(0, 1, samples)
+        return Trajectory.from_samples(self.at(t), t=t, direction=self.direction)
+
+    def arc_resampled(self, samples: int) -> FloatArray:
+        """Points (samples, 2) px evenly spaced along the path, whatever the dwell."""
+        arc = self.arc_px
+        s = np.linspace(0, arc[-1], samples)
+        return np.stack([np.interp(s, arc, self.x), np.interp(s, arc, self.y)], axis=-1)
+
+    def segments(self, edges: Sequence[float] | FloatArray = (0.0, 1.0)) -> Segments:
+        """Cut the path into straight pieces at its samples and at the slice ``edges`` (0 = first, 1 = last)."""
+        cuts = _checked_edges(edges)
+        u = np.union1d(self.t[(self.t > cuts[0]) & (self.t < cuts[-1])], cuts)
+        points = self.at(u)
+        slice_index = np.searchsorted(cuts, 0.5 * (u[1:] + u[:-1]), side="right") - 1
+        return Segments(slice_index, np.diff(u), points[:-1], points[1:])
+
+    # -- optics -------------------------------------------------------------------------------------------------
+
+    def otf(self, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> ComplexArray:
+        r"""Exact OTF, ``H(f) = integral_0^1 exp(-2 pi i f . p(t)) dt``, at any real frequencies.
+
+        Parameters
+        ----------
+        fx_cy_px, fy_cy_px : array_like, broadcast together, cycles/px
+
+        Returns
+        -------
+        complex ndarray of the broadcast shape. No pixel grid is involved; multiply by :func:`bilinear_otf` or
+        :func:`pixel_aperture_otf` for sampling.
+        """
+        (whole,) = self.slice_otfs((0.0, 1.0), fx_cy_px, fy_cy_px)
+        return np.asarray(whole, dtype=np.complex128)
+
+    def slice_otfs(self, edges: Sequence[float] | FloatArray, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> ComplexArray:
+        """Exact OTF of each time slice, (slices, ...): they sum to the part of the exposure that the edges span.
+
+        Parameters
+        ----------
+        edges : (slices + 1,) increasing times within 0..1
+        fx_cy_px, fy_cy_px : array_like, broadcast together, cycles/px
+        """
+        fx, fy = np.broadcast_arrays(np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64))
+        pieces = self.segments(edges)
+        out = np.zeros((len(edges) - 1, fx.size), dtype=np.complex128)
+        flat_x, flat_y = fx.ravel(), fy.ravel()
+        step = max(1, _OTF_CHUNK // max(1, pieces.dt.size))
+        middle, delta = 0.5 * (pieces.a + pieces.b), pieces.b - pieces.a
+        starts = np.flatnonzero(np.diff(pieces.slice_index, prepend=-1))
+        for lo in range(0, fx.size, step):
+            f = np.stack([flat_x[lo : lo + step], flat_y[lo : lo + step]])
+            terms = pieces.dt[:, None] * np.sinc(delta @ f) * np.exp(-2j * np.pi * (middle @ f))
+            out[:, lo : lo + step] = np.add.reduceat(terms, starts, axis=0)
+        shaped: ComplexArray = out.reshape(-1, *fx.shape)
+        return shaped
+
+    def psf(self, size: int = 64) -> FloatArray:
+        """PSF (size, size), summing to 1, zero displacement at index ``size // 2``.
+
+        The path's measure seen through the bilinear hat of each pixel, integrated exactly.
+
+        Raises
+        ------
+        ValueError
+            If the path does not fit the frame; the message says which size would.
+        """
+        (whole,) = self.slice_psfs((0.0, 1.0), size)
+        return np.asarray(whole, dtype=np.float64)
+
+    def slice_psfs(self, edges: Sequence[float] | FloatArray, size: int = 64) -> FloatArray:
+        """Light-true PSF of each time slice, (slices, size, size): each sums to its share of the exposure."""
+        needed = self.frame_size()
+        if size < needed:
+            raise ValueError(f"size: the path needs a PSF frame of at least {needed} px, got {size}")
+        return rasterise.slice_psfs(self.t, self.xy, _checked_edges(edges), size)
+
+    def frame_size(self) -> int:
+        """Smallest PSF frame, px, that holds the whole path (zero displacement at index ``size // 2``)."""
+        low, high = np.floor(self.xy.min()), np.floor(self.xy.max()) + 1
+        return int(max(-2 * low, 2 * high + 1))
+
+    def hr_map(self) -> NDArray[np.uint8]:
+        """Binary map (256, 256) of the path at a pitch of 1/4 px, one pixel wide and 8-connected.
+
+        Displacement d px sits at index ``129.5 + 4 d``, so that 4 x 4 box means land on the 64-px PSF's grid.
+
+        Raises
+        ------
+        ValueError
+            If the path leaves the 64-px field.
+        """
+        samples = int(np.ceil(8 * self.length_px)) + 2
+        index = np.rint(129.5 + 4 * self.arc_resampled(samples)).astype(np.intp)
+        if index.min() < 0 or index.max() > 255:
+            raise ValueError(f"trajectory: leaves the 64-px field of the HR map (extent {self.extent_px:.1f} px)")
+        hr = np.zeros((256, 256), np.uint8)
+        pixels = rasterise.thin_path(index)
+        hr[pixels[:, 1], pixels[:, 0]] = 1
+        return hr
+
+
+def bilinear_otf(fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> FloatArray:
+    """OTF of bilinear splatting onto the pixel grid, ``sinc(fx)^2 sinc(fy)^2`` (frequencies in cycles/px)."""
+    return pixel_aperture_otf(fx_cy_px, fy_cy_px) ** 2
+
+
+def pixel_aperture_otf(fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> FloatArray:
+    """OTF of a square pixel with full fill, ``sinc(fx) sinc(fy)`` (frequencies in cycles/px)."""
+    fx, fy = np.asarray(fx_cy_px, dtype=np.float64), np.asarray(fy_cy_px, dtype=np.float64)
+    return np.asarray(np.sinc(fx) * np.sinc(fy), dtype=np.float64)
+
+
+def _time_mean(t: FloatArray, xy: FloatArray) -> FloatArray:
+    return np.asarray(np.diff(t) @ (0.5 * (xy[1:] + xy[:-1])), dtype=np.float64)
+
+
+def _checked_edges(edges: Sequence[float] | FloatArray) -> FloatArray:
+    cuts = np.asarray(edges, dtype=np.float64)
+    if cuts.ndim != 1 or cuts.size < 2 or not (np.diff(cuts) > 0).all() or cuts[0] < 0 or cuts[-1] > 1:
+        raise ValueError("edges: need at least two times, increasing, within 0..1")
+    return cuts
