@@ -1,0 +1,1 @@
+"""Blind estimation with the patch-wise minimal pixels prior (PMP)."""

@@ -1,0 +1,122 @@
+"""Grids and frames of the multi-scale search: pyramids, periodic borders, OTFs; batched in torch."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+__all__ = ["downsampled", "fast_size", "periodic_extension", "psf_to_otf", "resized_kernel"]
+
+
+def fast_size(size: int) -> int:
+    """Smallest even length >= ``size`` whose only prime factors are 2, 3 and 5: quick Fourier transforms."""
+    candidate = size + size % 2
+    while True:
+        rest = candidate
+        for prime in (2, 3, 5):
+            while rest % prime == 0:
+                rest //= prime
+        if rest == 1:
+            return candidate
+        candidate += 2
+
+
+def psf_to_otf(kernel: Tensor, shape: tuple[int, int]) -> Tensor:
+    """Half-plane OTF (B, H, W // 2 + 1) of kernels (B, k, k) with zero displacement at ``k // 2``."""
+    rows, columns = kernel.shape[-2:]
+    padded = functional.pad(kernel, (0, shape[1] - columns, 0, shape[0] - rows))
+    return torch.fft.rfft2(padded.roll((-(rows // 2), -(columns // 2)), (-2, -1)))
+
+
+def downsampled(photo: Tensor, factor: float) -> Tensor:
+    """Shrink photos (B, H, W) by ``factor`` < 1: Gaussian of sigma ``1 / (2 factor)`` px, then bilinear samples."""
+    if factor == 1:
+        return photo
+    sigma = 1 / (2 * factor)
+    radius = math.ceil(1.7 * sigma)
+    offsets = torch.arange(-radius, radius + 1, device=photo.device, dtype=photo.dtype)
+    weights = torch.exp(-0.5 * (offsets / sigma).square())
+    weights = weights / weights.sum()
+    smooth = functional.conv2d(photo[:, None], weights[None, None, :, None])
+    smooth = functional.conv2d(smooth, weights[None, None, None, :])
+    rows, columns = (math.floor((n - 1) * factor) + 1 for n in smooth.shape[-2:])
+    return _sampled(smooth, rows, columns, 1 / factor, 0.0, 0.0, "bilinear")[:, 0]
+
+
+def resized_kernel(kernel: Tensor, factor: float, size: int) -> Tensor:
+    """Enlarge kernels (B, k, k) by ``factor`` into a frame of ``size`` px with the same centre; sum 1."""
+    offset = kernel.shape[-1] // 2 - (size // 2) / factor
+    grown = _sampled(kernel[:, None], size, size, 1 / factor, offset, offset, "bicubic")[:, 0].clamp(min=0)
+    return grown / grown.sum(dim=(1, 2), keepdim=True).clamp(min=1e-12)
+
+
+def periodic_extension(photo: Tensor, shape: tuple[int, int]) -> Tensor:
+    """Extend photos (B, H, W) to ``shape`` so that they wrap around smoothly: harmonic strips join opposite edges.
+
+    References
+    ----------
+    Liu and Jia, "Reducing boundary artifacts in image deconvolution", ICIP 2008 (here with first-order smoothness).
+    """
+    batch, height, width = photo.shape
+    out = photo.new_zeros(batch, *shape)
+    out[:, :height, :width] = photo
+    below, beside = shape[0] - height, shape[1] - width
+    if below > 0:
+        out[:, height:, :width] = _joining_strip(photo[:, -1, :], photo[:, 0, :], below)
+    if beside > 0:
+        strip = _joining_strip(photo[:, :, -1], photo[:, :, 0], beside)
+        out[:, :height, width:] = strip.transpose(1, 2)
+    if below > 0 and beside > 0:
+        frame = photo.new_zeros(batch, below + 2, beside + 2)
+        frame[:, 0, 1:-1], frame[:, -1, 1:-1] = out[:, height - 1, width:], out[:, 0, width:]
+        frame[:, 1:-1, 0], frame[:, 1:-1, -1] = out[:, height:, width - 1], out[:, height:, 0]
+        out[:, height:, width:] = _harmonic(frame)
+    return out
+
+
+def _joining_strip(first: Tensor, last: Tensor, thickness: int) -> Tensor:
+    """Harmonic strip (B, thickness, W) between two edges (B, W), its short sides linear."""
+    frame = first.new_zeros(first.shape[0], thickness + 2, first.shape[1])
+    ramp = torch.linspace(0, 1, thickness + 2, device=first.device, dtype=first.dtype)[None, :, None]
+    frame[:] = first[:, None, :] * (1 - ramp) + last[:, None, :] * ramp
+    frame[:, 1:-1, 1:-1] = _harmonic(frame)
+    return frame[:, 1:-1, :]
+
+
+def _harmonic(frame: Tensor) -> Tensor:
+    """Interior (B, m, n) of the harmonic function with the border values of ``frame`` (B, m + 2, n + 2)."""
+    rows, columns = frame.shape[1] - 2, frame.shape[2] - 2
+    source = frame.new_zeros(frame.shape[0], rows, columns)
+    source[:, 0, :] += frame[:, 0, 1:-1]
+    source[:, -1, :] += frame[:, -1, 1:-1]
+    source[:, :, 0] += frame[:, 1:-1, 0]
+    source[:, :, -1] += frame[:, 1:-1, -1]
+    (sine_r, lambda_r), (sine_c, lambda_c) = (_sine_basis(n, frame) for n in (rows, columns))
+    spectrum = sine_r @ source @ sine_c / (lambda_r[:, None] + lambda_c[None, :])
+    return sine_r @ spectrum @ sine_c
+
+
+def _sine_basis(size: int, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Orthonormal sine basis of the Dirichlet Laplacian and its eigenvalues."""
+    index = torch.arange(1, size + 1, device=like.device, dtype=like.dtype)
+    angle = torch.pi / (size + 1)
+    basis = math.sqrt(2 / (size + 1)) * torch.sin(angle * index[:, None] * index[None, :])
+    return basis, 2 - 2 * torch.cos(angle * index)
+
+
+def _sampled(
+    stack: Tensor, rows: int, columns: int, pitch: float, row0: float, column0: float, mode: str
+) -> Tensor:
+    """Sample (B, 1, H, W) at ``start + pitch i`` in pixel indices, zero outside."""
+    height, width = stack.shape[-2:]
+    y = row0 + pitch * torch.arange(rows, device=stack.device, dtype=stack.dtype)
+    x = column0 + pitch * torch.arange(columns, device=stack.device, dtype=stack.dtype)
+    grid = torch.stack(
+        torch.broadcast_tensors((2 * x / max(width - 1, 1) - 1)[None, :], (2 * y / max(height - 1, 1) - 1)[:, None]),
+        dim=-1,
+    )
+    grid = grid[None].expand(stack.shape[0], -1, -1, -1)
+    return functional.grid_sample(stack, grid, mode=mode, padding_mode="zeros", align_corners=True)
