@@ -1,0 +1,1 @@
+"""Shutter hardware: timed programs, device limits, exporters and the serial protocol."""

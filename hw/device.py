@@ -1,0 +1,239 @@
+"""What a shutter can play: device limits, read from TOML, and the check of a program against them."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import MISSING, dataclass, fields
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from hw.program import Program
+
+__all__ = ["DeviceProfile", "load_profile", "parse_profile", "profile_names"]
+
+_SCHEMA = "hw.device/1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceProfile:
+    """Limits of a shutter and its controller; None means no limit.
+
+    Parameters
+    ----------
+    name : str
+        Short name, as in ``--device NAME``.
+    description : str
+        One line for people.
+    tick_ns : int
+        Resolution of the device clock: a chip must be a whole number of ticks.
+    min_chip_ns, max_chip_ns : int or None
+        Range of the chip time the controller accepts.
+    max_chips : int or None
+        Longest code the controller stores.
+    min_on_ns, max_on_ns : int or None
+        Range of an open run as commanded.
+    min_off_ns : int or None
+        Shortest closed run between two openings.
+    max_duty : float or None
+        Largest open fraction of the whole program, 0..1.
+    max_pulses : int or None
+        Most openings in one program.
+    max_rate_hz : float or None
+        Highest rate of openings, taken at the two openings nearest to each other.
+    dead_time_ns : int
+        Time the device is blind after an opening (frame overhead): every gap must last longer than that or as long.
+    on_bias_ns : int
+        Time the device adds to every opening by itself; the command is shortened by it, and must remain possible.
+    closed_level : int
+        Output level, 0 or 1, at which the shutter is closed.
+    """
+
+    name: str
+    description: str = ""
+    tick_ns: int = 1
+    min_chip_ns: int | None = None
+    max_chip_ns: int | None = None
+    max_chips: int | None = None
+    min_on_ns: int | None = None
+    max_on_ns: int | None = None
+    min_off_ns: int | None = None
+    max_duty: float | None = None
+    max_pulses: int | None = None
+    max_rate_hz: float | None = None
+    dead_time_ns: int = 0
+    on_bias_ns: int = 0
+    closed_level: int = 0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            _check_field(field.name, getattr(self, field.name), optional=field.default is None)
+        for low, high in (("min_chip_ns", "max_chip_ns"), ("min_on_ns", "max_on_ns")):
+            least, most = getattr(self, low), getattr(self, high)
+            if least is not None and most is not None and least > most:
+                raise ValueError(f"{low} is {least} but {high} is {most}: the least must not exceed the most")
+
+    def check(self, program: Program) -> tuple[str, ...]:
+        """List every limit that a program breaks, each in one plain sentence; empty when it can be played.
+
+        Parameters
+        ----------
+        program : Program
+            What is to be played.
+
+        Returns
+        -------
+        tuple of str
+            One sentence per broken limit, with the figure found and the figure that would be right.
+        """
+        return tuple(f"{self.name}: {problem}" for problem in (*self._grid(program), *self._runs(program)))
+
+    def _grid(self, program: Program) -> list[str]:
+        found: list[str] = []
+        chip = program.chip_ns
+        if chip % self.tick_ns:
+            below = chip - chip % self.tick_ns
+            near = " or ".join(str(value) for value in (below, below + self.tick_ns) if value)
+            found.append(f"chip of {chip} ns is not a whole number of {self.tick_ns} ns ticks; {near} ns would be")
+        if self.min_chip_ns is not None and chip < self.min_chip_ns:
+            found.append(f"chip of {_time(chip)} is too short; at least {_time(self.min_chip_ns)}")
+        if self.max_chip_ns is not None and chip > self.max_chip_ns:
+            found.append(f"chip of {_time(chip)} is too long; at most {_time(self.max_chip_ns)}")
+        if self.max_chips is not None and program.chips > self.max_chips:
+            found.append(f"code of {program.chips} chips is too long; at most {self.max_chips}")
+        return found
+
+    def _runs(self, program: Program) -> list[str]:
+        found: list[str] = []
+        edges = program.edges
+        opened, closed = [t for t, level in edges if level], [t for t, level in edges if not level]
+        on = [end - start for start, end in zip(opened, closed, strict=True)]
+        off = [start - end for start, end in zip(opened[1:], closed[:-1], strict=True)]
+        # The shutter may rest closed before and after as long as it likes: only gaps between openings are limited.
+        least_on = max(self.min_on_ns or 0, self.tick_ns if self.on_bias_ns else 0) + self.on_bias_ns
+        if min(on) < least_on:
+            bias = f" (its own {_time(self.on_bias_ns)} included)" if self.on_bias_ns else ""
+            found.append(f"shortest opening is {_time(min(on))}; at least {_time(least_on)}{bias}")
+        if self.max_on_ns is not None and max(on) > self.max_on_ns:
+            found.append(f"longest opening is {_time(max(on))}; at most {_time(self.max_on_ns)}")
+        if self.min_off_ns is not None and off and min(off) < self.min_off_ns:
+            found.append(f"shortest gap between openings is {_time(min(off))}; at least {_time(self.min_off_ns)}")
+        if off and min(off) < self.dead_time_ns:
+            found.append(
+                f"shortest gap between openings is {_time(min(off))}; the dead time is {_time(self.dead_time_ns)}"
+            )
+        if self.max_duty is not None and program.duty > self.max_duty:
+            found.append(f"duty is {program.duty:.3f}; at most {self.max_duty:.3f}")
+        if self.max_pulses is not None and program.pulses > self.max_pulses:
+            found.append(f"code has {program.pulses} openings; at most {self.max_pulses}")
+        if self.max_rate_hz is not None and len(opened) > 1:
+            rate_hz = 1e9 / min(b - a for a, b in pairwise(opened))
+            if rate_hz > self.max_rate_hz:
+                found.append(f"openings come at up to {rate_hz:.4g} Hz; at most {self.max_rate_hz:.4g} Hz")
+        return found
+
+
+def parse_profile(text: str, *, source: str = "profile") -> DeviceProfile:
+    """Read a profile from TOML text.
+
+    Parameters
+    ----------
+    text : str
+        TOML with ``schema = "hw.device/1"`` and the fields of `DeviceProfile`.
+    source : str
+        File name for messages.
+
+    Raises
+    ------
+    ValueError
+        If the text is not TOML, has another schema, an unknown field, or a value out of range.
+    """
+    try:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{source} is not TOML: {_one_line(error)}") from None
+    schema = table.pop("schema", None)
+    if schema != _SCHEMA:
+        raise ValueError(f'{source} has schema {str(schema)[:40]!r}: schema = "{_SCHEMA}" is needed')
+    known = {field.name for field in fields(DeviceProfile)}
+    unknown = sorted(set(table) - known)
+    if unknown:
+        raise ValueError(f"{source} has unknown field {unknown[0]!r}: known are {', '.join(sorted(known))}")
+    missing = [field.name for field in fields(DeviceProfile) if field.default is MISSING and field.name not in table]
+    if missing:
+        raise ValueError(f"{source} has no {missing[0]}: every profile needs one")
+    try:
+        return DeviceProfile(**table)
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from None
+
+
+def profile_names() -> tuple[str, ...]:
+    """Names of the built-in profiles, sorted."""
+    folder = resources.files("hw") / "profiles"
+    return tuple(sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")))
+
+
+def load_profile(name: str | Path) -> DeviceProfile:
+    """Load a built-in profile by name, or one's own by the path of its ``.toml`` file.
+
+    Raises
+    ------
+    ValueError
+        If there is no such profile, or its file cannot be read or is wrong.
+    """
+    text_name = str(name)
+    if isinstance(name, str) and not text_name.endswith(".toml"):
+        names = profile_names()
+        if text_name not in names:
+            raise ValueError(
+                f"device profile {text_name!r} is unknown: built in are {', '.join(names)}; or name a .toml file"
+            )
+        text = (resources.files("hw") / "profiles" / f"{text_name}.toml").read_text(encoding="utf-8")
+        return parse_profile(text, source=text_name)
+    try:
+        text = Path(name).read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise ValueError(f"{text_name} is not UTF-8 text: a device profile is a TOML file") from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else _one_line(error)
+        raise ValueError(f"{text_name} cannot be read: {reason}; name a built-in profile or a .toml file") from None
+    return parse_profile(text, source=text_name)
+
+
+def _check_field(name: str, value: Any, *, optional: bool) -> None:
+    if value is None and optional:
+        return
+    if name in {"name", "description"}:
+        if not isinstance(value, str) or "\n" in value or (name == "name" and not value):
+            raise ValueError(f"{name} is {str(value)[:40]!r}: one line of text is needed")
+    elif isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{name} is {value!r}: a finite number is needed")
+    elif name == "max_duty":
+        if not 0 < value <= 1:
+            raise ValueError(f"max_duty is {value}: it must be above 0 and at most 1")
+    elif name == "max_rate_hz":
+        if value <= 0:
+            raise ValueError(f"max_rate_hz is {value}: it must be above 0")
+    elif not isinstance(value, int):
+        raise ValueError(f"{name} is {value!r}: a whole number is needed")
+    elif name == "closed_level":
+        if value not in (0, 1):
+            raise ValueError(f"closed_level is {value}: it must be 0 or 1")
+    else:
+        least = 0 if name in {"dead_time_ns", "on_bias_ns", "min_on_ns", "min_off_ns"} else 1
+        if value < least:
+            raise ValueError(f"{name} is {value}: it must be at least {least}")
+
+
+def _time(time_ns: int) -> str:
+    for unit_ns, unit in ((10**9, "s"), (10**6, "ms"), (10**3, "us")):
+        if time_ns >= unit_ns:
+            return f"{time_ns / unit_ns:.6g} {unit}"
+    return f"{time_ns} ns"
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

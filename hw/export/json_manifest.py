@@ -1,0 +1,67 @@
+"""JSON manifest: the code, its timing and its edges, for people's own scripts."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from hw.export._text import verified
+from hw.program import Program
+
+__all__ = ["export", "parse_back", "suffix"]
+
+suffix = ".json"
+
+_SCHEMA = "hw.program/1"
+
+
+def export(program: Program) -> str:
+    """Write the program as one JSON object of schema ``hw.program/1``."""
+    return json.dumps(_manifest(program), indent=1) + "\n"
+
+
+def parse_back(text: str) -> Program:
+    """Read the program back; every derived field must agree with the code.
+
+    Raises
+    ------
+    ValueError
+        If the text is not JSON, has another schema, lacks a field, or contradicts itself.
+    """
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"JSON cannot be read: {' '.join(str(error).split())[:120]}") from None
+    if not isinstance(found, dict):
+        raise ValueError(f"JSON holds a {type(found).__name__}: an object of schema {_SCHEMA!r} is needed")
+    if found.get("schema") != _SCHEMA:
+        raise ValueError(f"JSON has schema {str(found.get('schema'))[:40]!r}: {_SCHEMA!r} is needed")
+    for key in ("bits", "chip_ns", "code_crc32"):
+        if key not in found:
+            raise ValueError(f"JSON has no field {key!r}: bits, chip_ns and code_crc32 are needed")
+    if not isinstance(found["bits"], str):
+        raise ValueError(f"JSON bits is a {type(found['bits']).__name__}: a string of 0 and 1 is needed")
+    program = Program(found["bits"], found["chip_ns"])
+    verified(program, str(found["code_crc32"]), source="JSON")
+    for key, value in _manifest(program).items():
+        # Compared as text: in Python True == 1 == 1.0, in the file they differ.
+        if key in found and json.dumps(found[key]) != json.dumps(value):
+            raise ValueError(f"JSON field {key!r} disagrees with its bits and chip_ns: it was altered, export again")
+        if key not in found:
+            raise ValueError(f"JSON has no field {key!r}: schema {_SCHEMA!r} needs it")
+    return program
+
+
+def _manifest(program: Program) -> dict[str, Any]:
+    return {
+        "schema": _SCHEMA,
+        "bits": program.bits,
+        "chip_ns": program.chip_ns,
+        "chips": program.chips,
+        "duration_ns": program.duration_ns,
+        "open_ns": program.open_ns,
+        "pulses": program.pulses,
+        "code_crc32": f"0x{program.code_crc32:08x}",
+        "runs": [list(run) for run in program.runs],
+        "edges": [list(edge) for edge in program.edges],
+    }

@@ -1,0 +1,263 @@
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from cxp_controller import ABORT, ARM, ARMED, IDLE, LOAD, LOADED, PLAY, READ, TRIG, CxpController, Faults
+
+from hw.device import DeviceProfile, load_profile
+from hw.drivers import Trust
+from hw.drivers.cxp import Controller, VerifyError
+from hw.link import LinkError
+from hw.program import Program
+from hw.protocol import OutOfRangeError, State, WrongStateError
+
+RASKAR = "1010000111000001010000110011110111010111001001100111"
+PROGRAM = Program.from_bits(RASKAR, chip_ns=200_000)
+SLOW = Program.from_bits("1" * 1000, chip_ns=30_000_000)  # 30 s: still open whenever a test looks
+FAST = {"timeout_s": 0.05, "attempts": 40}
+
+
+def play(controller, program=SLOW, then=None):
+    controller.upload(program, arm=True)
+    controller.trigger()
+    if then is not None:
+        raise then
+
+
+def test_upload_reads_back_and_reports():
+    with CxpController() as device, Controller.open(device.port, **FAST) as controller:
+        report = controller.upload(PROGRAM, profile=load_profile("cxp-avr"))
+        assert controller.status().state is State.LOADED
+    assert device.bits == RASKAR
+    assert device.ticks == 400
+    assert device.ops[1:4] == [LOAD, READ, 7]
+    assert (report.port, report.chips, report.chip_ns, report.pulses) == (device.port, 52, 200_000, 13)
+    assert (report.duration_ns, report.code_crc32) == (PROGRAM.duration_ns, PROGRAM.code_crc32)
+    assert (report.trust, report.armed, report.lease_ms) == (Trust.READ_BACK, False, None)
+
+
+def test_without_verification_it_is_only_acknowledged():
+    with CxpController(Faults(stored_flip=7)) as device, Controller.open(device.port, **FAST) as controller:
+        assert controller.upload(PROGRAM, verify=False).trust == "acknowledged"
+    assert READ not in device.ops
+
+
+def test_the_longest_code_that_the_device_takes():
+    program = Program.from_bits("01" * 512, chip_ns=50_000)
+    with CxpController() as device, Controller.open(device.port, **FAST) as controller:
+        assert controller.upload(program).chips == 1024
+        assert controller.read() == program
+
+
+def test_armed_device_stays_armed_after_a_normal_end_and_its_lease_ends_that():
+    with CxpController() as device:
+        with Controller.open(device.port, **FAST) as controller:
+            report = controller.upload(PROGRAM, arm=True, lease_ms=400)
+            assert (report.armed, report.lease_ms) == (True, 400)
+        assert ABORT not in device.ops
+        deadline = time.monotonic() + 20
+        while device.state == ARMED and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert device.state == LOADED
+
+
+def test_play_once():
+    with CxpController() as device, Controller.open(device.port, **FAST) as controller:
+        controller.upload(PROGRAM, arm=True)
+        controller.trigger()
+        status = controller.wait(timeout_s=10)
+        assert (status.state, status.runs, status.late) == (State.DONE, 1, 0)
+        with pytest.raises(WrongStateError, match="refuses TRIG"):
+            controller.trigger()
+    assert device.plays == [RASKAR]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_100_loads_at_1_percent_byte_corruption_are_all_verified(seed):
+    faults = Faults(noise=0.01, seed=seed)
+    codes = [Program.from_bits(f"{k + 1:016b}" + RASKAR[16:], chip_ns=50_000 + 500 * k) for k in range(100)]
+    with CxpController(faults) as device, Controller.open(device.port, timeout_s=0.02, attempts=60) as controller:
+        for code in codes:
+            assert controller.upload(code).trust is Trust.READ_BACK
+            assert (device.bits, device.ticks * 500) == (code.bits, code.chip_ns)
+        retries = controller.link.retries
+    assert device.ops.count(LOAD) == 100
+    assert device.bad_frames > 5
+    assert retries > 15
+
+
+def test_40_triggers_at_2_percent_corruption_are_exactly_40_plays():
+    code = Program.from_bits(RASKAR, chip_ns=50_000)
+    faults = Faults(noise=0.02, seed=7)
+    with CxpController(faults) as device, Controller.open(device.port, timeout_s=0.02, attempts=60) as controller:
+        controller.upload(code)
+        for count in range(1, 41):
+            controller.arm()
+            controller.trigger()
+            assert controller.wait(timeout_s=10).runs == count
+    assert len(device.plays) == 40
+    assert device.ops.count(TRIG) == 40
+    assert device.repeats > 0  # the cached reply was needed: without it some retries would have been refused
+
+
+def test_wrong_stored_bit_is_caught_by_the_read_back_and_nothing_is_armed():
+    with CxpController(Faults(stored_flip=7)) as device, Controller.open(device.port, **FAST) as controller:
+        with pytest.raises(VerifyError, match="1 of 52 chips differ, the first is chip 7"):
+            controller.upload(PROGRAM, arm=True)
+        assert device.state == LOADED
+        assert ARM not in device.ops
+        assert ABORT in device.ops
+
+
+def test_every_violation_is_told_and_nothing_is_sent():
+    profile = DeviceProfile(name="led", max_on_ns=500_000, max_duty=0.4)
+    program = Program.from_bits(RASKAR * 20, chip_ns=200_100)
+    with CxpController() as device, Controller.open(device.port, **FAST) as controller:
+        assert len(controller.check(program, profile=profile)) == 4
+        with pytest.raises(ValueError, match=r"500 ns ticks.*at most 1024.*led: longest.*led: duty") as caught:
+            controller.upload(program, profile=profile)
+    assert "\n" not in str(caught.value)
+    assert LOAD not in device.ops
+
+
+def test_bad_lease_is_refused_before_anything_is_sent():
+    with (
+        CxpController() as device,
+        Controller.open(device.port, **FAST) as controller,
+        pytest.raises(ValueError, match="lease_ms is 0"),
+    ):
+        controller.upload(PROGRAM, arm=True, lease_ms=0)
+    assert LOAD not in device.ops
+
+
+def test_chip_below_what_only_the_device_knows_is_a_typed_error():
+    with CxpController() as device, Controller.open(device.port, **FAST) as controller:
+        with pytest.raises(OutOfRangeError, match="refuses LOAD"):
+            controller.upload(Program.from_bits("10", chip_ns=10_000))
+        assert device.state == IDLE
+
+
+def test_nothing_loaded():
+    with CxpController() as device, Controller.open(device.port, **FAST) as controller:
+        for refused in (controller.read, controller.arm, controller.trigger):
+            with pytest.raises(WrongStateError):
+                refused()
+        controller.abort()
+        assert controller.status().state is State.IDLE
+        assert controller.hello() == controller.announced
+
+
+def test_upload_to_an_armed_or_playing_device_is_refused_and_does_not_disturb_it():
+    with CxpController() as device, Controller.open(device.port, **FAST) as controller:
+        controller.upload(SLOW, arm=True)
+        with pytest.raises(WrongStateError, match=r"refuses LOAD.*abort before load"):
+            controller.upload(PROGRAM)
+        assert device.state == ARMED
+        controller.trigger()
+        with pytest.raises(WrongStateError):
+            controller.upload(PROGRAM)
+        assert device.state == PLAY
+        controller.abort()
+        assert (device.state, device.shutter_open) == (LOADED, False)
+        assert controller.upload(PROGRAM).trust is Trust.READ_BACK
+
+
+@pytest.mark.parametrize("kind", [RuntimeError, KeyboardInterrupt, SystemExit])
+def test_leaving_by_an_exception_closes_an_open_shutter(kind):
+    with CxpController() as device:
+        controller = Controller.open(device.port, **FAST)
+        play(controller)
+        assert device.shutter_open
+        with pytest.raises(kind, match="mine"), controller:
+            raise kind("mine")
+        assert (device.state, device.shutter_open) == (LOADED, False)
+
+
+def test_leaving_by_an_exception_closes_through_noise_too():
+    with CxpController(Faults(noise=0.02, seed=3)) as device:
+        with (
+            pytest.raises(RuntimeError, match="mine"),
+            Controller.open(device.port, timeout_s=0.02, attempts=60) as controller,
+        ):
+            play(controller, then=RuntimeError("mine"))
+        assert len(device.plays) == 1
+        assert device.state == LOADED
+
+
+@pytest.mark.parametrize("op", [ARM, TRIG])
+def test_an_unanswered_arm_or_trigger_is_aborted(op):
+    # The device did it but nobody said so; ABORT comes through, hence it must end closed and disarmed.
+    with CxpController(Faults(lost_replies={op: 3})) as device:
+        controller = Controller.open(device.port, timeout_s=0.3, attempts=3)
+        with pytest.raises(LinkError, match="does not answer") as caught:
+            play(controller)
+        assert not hasattr(caught.value, "__notes__")
+        assert device.ops[-2:] == [op, ABORT]
+        assert device.state == LOADED
+        controller.close()
+
+
+def test_unacknowledged_abort_is_said_on_the_exception():
+    with CxpController(Faults(silent_after=TRIG)) as device:
+        controller = Controller.open(device.port, timeout_s=0.05, attempts=4)
+        with pytest.raises(LinkError, match="does not answer TRIG") as caught, controller:
+            play(controller)
+        assert len(caught.value.__notes__) == 1
+        assert "did not acknowledge ABORT" in caught.value.__notes__[0]
+        assert ABORT in device.ops
+        assert not device.shutter_open
+
+
+@pytest.mark.parametrize("op", [LOAD, READ, ARM, TRIG])
+def test_unplugged_midway_is_one_clear_line(op):
+    with CxpController(Faults(unplug_on=op)) as device:
+        controller = Controller.open(device.port, timeout_s=0.2, attempts=5)
+        with pytest.raises(LinkError, match=r"is gone") as caught:
+            play(controller, PROGRAM)
+        assert "\n" not in str(caught.value)
+        assert not controller.link.is_open
+        assert not controller.link.abort()
+    assert device.plays == []
+
+
+def test_a_play_that_never_ends_is_aborted():
+    with CxpController(Faults(stuck_play=True)) as device, Controller.open(device.port, **FAST) as controller:
+        controller.upload(PROGRAM, arm=True)
+        controller.trigger()
+        with pytest.raises(VerifyError, match=r"still plays after 0\.05 s, told to abort"):
+            controller.wait(timeout_s=0.05)
+        assert device.state == LOADED
+
+
+@pytest.mark.parametrize("ending", ["pass", "raise SystemExit(3)", "raise RuntimeError('oops')"])
+def test_a_script_that_ends_without_closing_leaves_the_shutter_closed(ending):
+    script = f"""
+import sys
+from hw.drivers.cxp import Controller
+from hw.program import Program
+controller = Controller.open(sys.argv[1])
+controller.upload(Program.from_bits("1" * 1000, chip_ns=30_000_000), arm=True)
+controller.trigger()
+{ending}
+"""
+    root = Path(__file__).parents[2]
+    with CxpController() as device:
+        command = [sys.executable, "-c", script, device.port]
+        subprocess.run(command, cwd=root, timeout=60, capture_output=True, check=False)
+        assert len(device.plays) == 1
+        assert (device.state, device.shutter_open) == (LOADED, False)
+
+
+def test_importing_hw_does_not_import_serial_or_numpy():
+    code = "import sys, hw.drivers.cxp, hw.export; print(sorted({'serial', 'numpy'} & set(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=Path(__file__).parents[2],
+        timeout=60,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == "[]"

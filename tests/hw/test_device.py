@@ -1,0 +1,146 @@
+import pytest
+
+from hw.device import DeviceProfile, load_profile, parse_profile, profile_names
+from hw.program import Program
+
+RASKAR = "1010000111000001010000110011110111010111001001100111"
+
+
+def test_all_violations_in_one_go():
+    profile = DeviceProfile(
+        name="narrow",
+        tick_ns=300,
+        min_chip_ns=300_000,
+        max_chips=50,
+        min_on_ns=250_000,
+        max_on_ns=700_000,
+        min_off_ns=300_000,
+        max_duty=0.4,
+        max_pulses=12,
+        max_rate_hz=1000,
+        dead_time_ns=250_000,
+    )
+    found = profile.check(Program.from_bits(RASKAR, chip_ns=200_000))
+    expected = [
+        "chip of 200000 ns is not a whole number of 300 ns ticks; 199800 or 200100 ns would be",
+        "chip of 200 us is too short; at least 300 us",
+        "code of 52 chips is too long; at most 50",
+        "shortest opening is 200 us; at least 250 us",
+        "longest opening is 800 us; at most 700 us",
+        "shortest gap between openings is 200 us; at least 300 us",
+        "shortest gap between openings is 200 us; the dead time is 250 us",
+        "duty is 0.500; at most 0.400",
+        "code has 13 openings; at most 12",
+        "openings come at up to 2500 Hz; at most 1000 Hz",
+    ]
+    assert found == tuple(f"narrow: {line}" for line in expected)
+
+
+def test_limits_themselves_are_allowed():
+    program = Program.from_bits("110100", chip_ns=100)
+    profile = DeviceProfile(
+        name="exact",
+        tick_ns=50,
+        min_chip_ns=100,
+        max_chip_ns=100,
+        max_chips=6,
+        min_on_ns=100,
+        max_on_ns=200,
+        min_off_ns=100,
+        max_duty=0.5,
+        max_pulses=2,
+        max_rate_hz=1e9 / 300,
+        dead_time_ns=100,
+    )
+    assert profile.check(program) == ()
+
+
+def test_rest_before_and_after_is_no_gap():
+    profile = DeviceProfile(name="slow", min_off_ns=10_000, dead_time_ns=10_000, max_rate_hz=1.0)
+    assert profile.check(Program.from_bits("0110", chip_ns=100)) == ()
+    assert len(profile.check(Program.from_bits("0101", chip_ns=100))) == 3
+
+
+def test_own_exposure_time_shortens_what_can_be_commanded():
+    profile = DeviceProfile(name="camera", on_bias_ns=30, tick_ns=10)
+    assert profile.check(Program.from_bits("1", chip_ns=40)) == ()
+    assert profile.check(Program.from_bits("1", chip_ns=30)) == (
+        "camera: shortest opening is 30 ns; at least 40 ns (its own 30 ns included)",
+    )
+
+
+def test_chip_too_long():
+    assert "too long; at most 32.7675 ms" in load_profile("cxp-avr").check(Program("1", 33_000_000))[0]
+
+
+@pytest.mark.parametrize(("chip_ns", "chips", "count"), [(50_000, 1024, 0), (49_500, 1025, 2), (50_100, 52, 1)])
+def test_avr_profile(chip_ns, chips, count):
+    assert len(load_profile("cxp-avr").check(Program("1" * chips, chip_ns))) == count
+
+
+def test_built_in_profiles_load_under_their_own_names():
+    assert {"generic", "cxp-avr"} <= set(profile_names())
+    for name in profile_names():
+        assert load_profile(name).name == name
+    assert load_profile("generic").check(Program.from_bits(RASKAR, chip_ns=1)) == ()
+
+
+def test_users_profile_from_file(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('schema = "hw.device/1"\nname = "mine"\nmax_duty = 0.3\nclosed_level = 1\n')
+    assert load_profile(str(path)) == load_profile(path) == DeviceProfile(name="mine", max_duty=0.3, closed_level=1)
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("name = ", "not TOML"),
+        ('name = "x"\nname = "y"', "not TOML"),
+        ("", "has no name"),
+        ('name = ""', "name is ''"),
+        ("name = 5", "name is '5'"),
+        ('name = "a\\nb"', "one line"),
+        ('name = "x"\nmax_dutty = 0.3', "unknown field 'max_dutty'"),
+        ('name = "x"\nmax_duty = nan', "finite"),
+        ('name = "x"\nmax_duty = 0', "above 0"),
+        ('name = "x"\nmax_duty = 1.5', "at most 1"),
+        ('name = "x"\nmax_rate_hz = -1', "above 0"),
+        ('name = "x"\nmin_on_ns = -1', "at least 0"),
+        ('name = "x"\nmin_on_ns = 1.5', "whole number"),
+        ('name = "x"\nmin_on_ns = true', "finite number"),
+        ('name = "x"\nmin_on_ns = "5"', "finite number"),
+        ('name = "x"\ntick_ns = 0', "at least 1"),
+        ('name = "x"\nclosed_level = 2', "0 or 1"),
+        ('name = "x"\nmin_on_ns = 9\nmax_on_ns = 8', "must not exceed"),
+        ('name = "x"\nmin_chip_ns = 9\nmax_chip_ns = 8', "must not exceed"),
+    ],
+)
+def test_bad_profiles_get_one_clear_line(body, words):
+    with pytest.raises(ValueError, match=r".") as caught:
+        parse_profile(f'schema = "hw.device/1"\n{body}\n', source="mine.toml")
+    assert str(caught.value).startswith("mine.toml")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_schema_is_needed():
+    with pytest.raises(ValueError, match=r"hw\.device/1"):
+        parse_profile('name = "x"')
+    with pytest.raises(ValueError, match=r"'hw\.device/2'"):
+        parse_profile('schema = "hw.device/2"\nname = "x"')
+
+
+def test_bad_files_get_one_clear_line(tmp_path):
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    for name, words in [
+        ("no-such", "built in are cxp-avr, generic"),
+        (tmp_path / "missing.toml", "No such file"),
+        (tmp_path, "cannot be read"),
+        (binary, "not UTF-8"),
+        ("a\0b.toml", "cannot be read"),
+    ]:
+        with pytest.raises(ValueError, match=r".") as caught:
+            load_profile(name)
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)

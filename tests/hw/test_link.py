@@ -1,0 +1,205 @@
+import time
+
+import pytest
+from cxp_controller import HELLO, TRIG, CxpController, Faults
+
+from hw.drivers.cxp import Controller
+from hw.link import Link, LinkError, PortError, open_link, open_port
+from hw.program import Program
+from hw.protocol import Hello, Op, State, Status, WrongStateError
+
+FAST = {"timeout_s": 0.05, "attempts": 40}
+PROGRAM = Program.from_bits("101100000111", chip_ns=200_000)
+
+
+class ScriptedPort:
+    """Plays a transcript: expects exactly the bytes written, hands out the replies, in order."""
+
+    def __init__(self, *exchanges):
+        self.exchanges = [(bytes.fromhex(sent), bytes.fromhex(reply)) for sent, reply in exchanges]
+        self.waiting = b""
+        self.closed = False
+
+    @property
+    def in_waiting(self):
+        return len(self.waiting)
+
+    def read(self, size):
+        data, self.waiting = self.waiting[:size], self.waiting[size:]
+        return data
+
+    def write(self, data):
+        sent, reply = self.exchanges.pop(0)
+        assert data.hex(" ") == sent.hex(" ")
+        self.waiting += reply
+
+    def close(self):
+        self.closed = True
+
+
+def test_transcript_of_every_op_byte_for_byte():
+    port = ScriptedPort(
+        ("00", ""),
+        ("05 01 01 1f 3e 00", "03 81 01 06 43 58 50 31 01 01 06 04 f4 01 7b 41 00"),
+        ("06 02 02 90 01 0c 05 b0 70 26 95 00", "03 82 02 04 90 01 0c 05 b0 70 5c a5 00"),
+        ("05 03 03 3f 78 00", "03 83 03 04 90 01 0c 05 b0 70 ac 09 00"),
+        ("07 04 04 88 13 92 22 00", "03 84 04 03 c2 e7 00"),
+        ("05 05 05 5f b2 00", "03 85 05 03 c3 e3 00"),
+        ("05 07 06 5e e4 00", "03 87 06 03 03 05 02 02 01 04 01 b5 25 00"),
+        ("05 06 07 4e c7 00", "03 86 07 03 f1 dc 00"),
+    )
+    link = Link(port, name="script", attempts=1)
+    with Controller(link, link.hello()) as controller:
+        assert controller.announced == Hello(1, 1024, 500)
+        controller.load(PROGRAM)
+        assert controller.read() == PROGRAM
+        controller.arm(lease_ms=5000)
+        controller.trigger()
+        assert controller.status() == Status(State.PLAY, 5, 2, 0, 1)
+        controller.abort()
+    assert port.exchanges == []
+    assert port.waiting == b""
+    assert port.closed
+    assert (link.retries, link.bad_frames) == (0, 0)
+
+
+def test_retry_sends_the_same_frame_after_ending_half_a_frame():
+    port = ScriptedPort(("05 05 01 db f2 00", ""), ("00 05 05 01 db f2 00", "03 85 01 03 07 2f 00"))
+    with Link(port, name="script", timeout_s=0.02, attempts=2) as link:
+        assert link.request(Op.TRIG) == b""
+    assert port.exchanges == []
+
+
+def test_old_foreign_and_broken_replies_are_ignored():
+    # In order: another seq, another op, a wrong CRC, noise, a request (our echo), then the right reply.
+    noise = "03 85 05 03 c3 e3 00 06 86 01 04 d3 36 00 03 85 01 03 07 28 00 ff 00 05 05 01 db f2 00"
+    port = ScriptedPort(("05 05 01 db f2 00", noise + "03 85 01 03 07 2f 00"))
+    with Link(port, name="script", attempts=1) as link:
+        assert link.request(Op.TRIG) == b""
+    assert link.bad_frames == 3
+
+
+def test_sequence_numbers_wrap():
+    with CxpController() as device, open_link(device.port, **FAST)[0] as link:
+        for _ in range(520):
+            link.request(Op.STATUS)
+    assert len(device.ops) == 521
+    assert device.pending == b""
+
+
+def test_lost_first_bytes_are_retried():
+    with CxpController(Faults(deaf_s=0.4, boot_noise=b"\x00garbage\xff\x80 boot v1\r\n")) as device:
+        link, hello = open_link(device.port, timeout_s=0.05)
+        link.close()
+    assert hello == Hello(1, 1024, 500)
+    assert link.retries >= 1
+
+
+@pytest.mark.parametrize(
+    ("faults", "words"),
+    [
+        (Faults(silent=True), "silent for 0.2 s"),
+        (Faults(babble=b"ERROR\r\n"), "no CXP1 reply: wrong baud"),
+        (Faults(babble=b"\x00\xff\x00" * 50), "no CXP1 reply: wrong baud"),
+        (Faults(magic=b"HARP"), "not a CXP1 shutter controller: .*HARP"),
+        (Faults(version=9), "version 9"),
+        (Faults(bad_crc_replies=10**6), "no CXP1 reply"),
+    ],
+)
+def test_a_port_that_is_not_ours(faults, words):
+    with CxpController(faults) as device:
+        with pytest.raises(PortError, match=words) as caught:
+            open_link(device.port, timeout_s=0.05, hello_s=0.2)
+        assert str(caught.value).startswith(device.port)
+        assert "\n" not in str(caught.value)
+        open_port(device.port).close()  # it was let go
+
+
+def test_missing_wrong_and_busy_ports(tmp_path):
+    plain = tmp_path / "plain.txt"
+    plain.write_text("not a port")
+    for name, words in [
+        (str(tmp_path / "ttyNONE"), "there is no such port"),
+        (str(plain), "cannot be opened"),
+        (str(tmp_path), "cannot be opened"),
+        ("", "name a serial port"),
+        (None, "name a serial port"),
+        ("a\0b", "cannot be opened"),
+    ]:
+        with pytest.raises(PortError, match=words) as caught:
+            open_port(name)
+        assert "\n" not in str(caught.value)
+    with CxpController() as device:
+        with open_link(device.port, **FAST)[0], pytest.raises(PortError, match="another program has it open"):
+            open_port(device.port)
+        open_port(device.port).close()
+        for baud in (0, -1, "fast", True, 10**9):
+            with pytest.raises(PortError, match="baud"):
+                open_port(device.port, baud=baud)
+        with pytest.raises(ValueError, match="timeout_s"):
+            open_link(device.port, timeout_s=0)
+        open_port(device.port).close()
+
+
+def test_lost_reply_of_a_trigger_never_plays_twice():
+    with CxpController(Faults(lost_replies={TRIG: 3})) as device, Controller.open(device.port, **FAST) as controller:
+        controller.upload(PROGRAM, arm=True)
+        controller.trigger()
+        assert controller.wait(timeout_s=5).runs == 1
+    assert len(device.plays) == 1
+    assert device.repeats >= 3
+
+
+@pytest.mark.parametrize(
+    "faults", [Faults(bad_crc_replies=3), Faults(wrong_seq_replies=3), Faults(lost_replies={HELLO: 2})]
+)
+def test_bad_replies_are_waited_out(faults):
+    with CxpController(faults) as device, Controller.open(device.port, **FAST) as controller:
+        assert controller.upload(PROGRAM).trust == "read back"
+        assert controller.link.retries >= 2
+
+
+def test_silence_midway_is_a_link_error():
+    with CxpController() as device:
+        link, _ = open_link(device.port, timeout_s=0.02, attempts=3)
+        with link:
+            device.mute = True
+            with pytest.raises(LinkError, match="does not answer STATUS, asked 3 times") as caught:
+                link.request(Op.STATUS)
+    assert "\n" not in str(caught.value)
+
+
+def test_closed_link_says_so_and_closes_twice():
+    with CxpController() as device:
+        link, _ = open_link(device.port, **FAST)
+        link.close()
+        link.close()
+        assert not link.abort()
+        with pytest.raises(LinkError, match="is closed"):
+            link.request(Op.STATUS)
+
+
+def test_refused_request_changes_nothing_and_is_not_repeated():
+    with CxpController() as device, open_link(device.port, **FAST)[0] as link:
+        with pytest.raises(WrongStateError, match="refuses TRIG"):
+            link.request(Op.TRIG)
+        assert device.ops == [HELLO, TRIG]
+        assert device.plays == []
+
+
+def test_endless_garbage_does_not_hang():
+    class Firehose(ScriptedPort):
+        in_waiting = 4096
+
+        def read(self, size):
+            return b"\xa5" * size
+
+        def write(self, data):
+            pass
+
+    start = time.monotonic()
+    with Link(Firehose(), name="hose", timeout_s=0.05, attempts=2) as link:
+        with pytest.raises(LinkError, match="does not answer"):
+            link.request(Op.STATUS)
+        assert len(link._rest) < 10_000
+    assert time.monotonic() - start < 60
