@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["slice_psfs", "thin_path"]
+__all__ = ["slice_of", "slice_psfs", "thin_path"]
 
 FloatArray = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def slice_psfs(t: FloatArray, xy: FloatArray, edges: FloatArray, size: int) -> F
     def at(times: FloatArray) -> FloatArray:
         return np.stack([np.interp(times, t, xy[:, axis]) for axis in (0, 1)], axis=-1)
 
-    slice_index = np.searchsorted(edges, mid, side="right") - 1
+    slice_index = slice_of(mid, edges)
     cell = np.floor(at(mid)).astype(np.intp)
     psfs = np.zeros((len(edges) - 1) * size * size)
     for node in (-_GAUSS_NODE, _GAUSS_NODE):
@@ -51,6 +51,11 @@ def slice_psfs(t: FloatArray, xy: FloatArray, edges: FloatArray, size: int) -> F
                 column, row = cell[:, 0] + dx + size // 2, cell[:, 1] + dy + size // 2
                 psfs += np.bincount((slice_index * size + row) * size + column, weight, minlength=psfs.size)
     return psfs.reshape(-1, size, size)
+
+
+def slice_of(t: FloatArray, edges: FloatArray) -> NDArray[np.intp]:
+    """Index of the time slice that each time (N,) belongs to; a time on the last edge belongs to the last slice."""
+    return np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(edges) - 2)
 
 
 def thin_path(index: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -199,7 +199,7 @@ class Trajectory:
         cuts = _checked_edges(edges)
         u = np.union1d(self.t[(self.t > cuts[0]) & (self.t < cuts[-1])], cuts)
         points = self.at(u)
-        slice_index = np.searchsorted(cuts, 0.5 * (u[1:] + u[:-1]), side="right") - 1
+        slice_index = rasterise.slice_of(0.5 * (u[1:] + u[:-1]), cuts)
         return Segments(slice_index, np.diff(u), points[:-1], points[1:])
 
     # -- optics -------------------------------------------------------------------------------------------------

@@ -31,6 +31,8 @@ class PmpSettings:
         Shrinkage of the minimal pixels: start, and where its decay ends.
     gradient_weight, gradient_floor : float
         Weight of the gradient count: start, and where its decay ends.
+    ridge, smoothness, sparsity : float
+        Regularisation of the kernel, see :func:`motdiff.estimators.pmp.kernel.fit_kernel`.
     patch_share : float
         Side of the minimal-pixel patches as a share of the photo's mean side.
     kappa : float
@@ -44,21 +46,24 @@ class PmpSettings:
     iterations: int = 5
     intensity_weight: float = 0.1
     intensity_floor: float = 1e-2
-    gradient_weight: float = 4e-3
+    gradient_weight: float = 8e-3
     gradient_floor: float = 1e-4
+    ridge: float = 2.0
+    smoothness: float = 20.0
+    sparsity: float = 3.0
     patch_share: float = 0.025
     kappa: float = 2.0
-    inner: int = 3
+    inner: int = 1
     keep_share: float = 0.05
 
 
 def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None = None) -> Tensor:
-    """Estimate one blur kernel per photo.
+    """Estimate one blur kernel per photo from its crops.
 
     Parameters
     ----------
-    photos : (B, H, W) float32, 0..1
-        Blurred photos, grey; any device.
+    photos : (B, C, H, W) float32, 0..1
+        Blurred photos, grey, each as C crops that share one kernel; any device.
     size : int
         Odd side of the kernel frame, px; the kernel should fill a good part of it.
     settings : PmpSettings, optional
@@ -77,9 +82,11 @@ def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None 
     patch_px = max(2, math.floor(chosen.patch_share * 0.5 * (photos.shape[-1] + photos.shape[-2])))
     intensity, gradient = chosen.intensity_weight, chosen.gradient_weight
     kernel, threshold = photos.new_zeros(0), photos.new_zeros(0)
+    batch, crops = photos.shape[:2]
+    flat = photos.flatten(0, 1)
     for scale in reversed(range(scales)):
         side = _odd(math.ceil(size * _RATIO**scale))
-        blurred = downsampled(photos, _RATIO**scale)
+        blurred = downsampled(flat, _RATIO**scale)
         if scale == scales - 1:
             kernel = _start_kernel(photos, side)
             threshold = start_threshold(blurred, size=side)
@@ -87,11 +94,11 @@ def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None 
             kernel = resized_kernel(kernel, 1 / _RATIO, side)
         height, width = blurred.shape[-2:]
         wrapped = periodic_extension(blurred, (fast_size(height + side - 1), fast_size(width + side - 1)))
-        blurred_gradients = salient_gradients(blurred, torch.zeros_like(threshold))
+        blurred_gradients = _by_photo(salient_gradients(blurred, torch.zeros_like(threshold)), batch)
         for _ in range(chosen.iterations):
             latent = l0_pmp_latent(
                 wrapped,
-                kernel,
+                kernel.repeat_interleave(crops, dim=0),
                 intensity_weight=intensity,
                 gradient_weight=gradient,
                 patch_px=patch_px,
@@ -99,7 +106,14 @@ def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None 
                 kappa=chosen.kappa,
                 inner=chosen.inner,
             )[:, :height, :width]
-            kernel = fit_kernel(salient_gradients(latent, threshold), blurred_gradients, size=side)
+            kernel = fit_kernel(
+                _by_photo(salient_gradients(latent, threshold), batch),
+                blurred_gradients,
+                size=side,
+                ridge=chosen.ridge,
+                smoothness=chosen.smoothness,
+                sparsity=chosen.sparsity,
+            )
             kernel = without_specks(kernel)
             threshold = threshold / _DECAY
             intensity = max(intensity / _DECAY, chosen.intensity_floor)
@@ -118,3 +132,9 @@ def _start_kernel(photos: Tensor, side: int) -> Tensor:
     kernel = photos.new_zeros(photos.shape[0], side, side)
     kernel[:, side // 2, side // 2 - 1 : side // 2 + 1] = 0.5
     return kernel
+
+
+def _by_photo(gradients: tuple[Tensor, Tensor], batch: int) -> tuple[Tensor, Tensor]:
+    """Gather (B * C, H, W) gradients as (B, C, H, W)."""
+    gx, gy = (gradient.view(batch, -1, *gradient.shape[1:]) for gradient in gradients)
+    return gx, gy

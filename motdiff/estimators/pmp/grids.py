@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-__all__ = ["downsampled", "fast_size", "periodic_extension", "psf_to_otf", "resized_kernel"]
+__all__ = ["downsampled", "fast_size", "gradient_power", "periodic_extension", "psf_to_otf", "resized_kernel"]
 
 
 def fast_size(size: int) -> int:
@@ -22,6 +22,13 @@ def fast_size(size: int) -> int:
         if rest == 1:
             return candidate
         candidate += 2
+
+
+def gradient_power(height: int, width: int, like: Tensor) -> Tensor:
+    """Half-plane power response (H, W // 2 + 1) of the two periodic first differences together."""
+    fy = torch.arange(height, device=like.device, dtype=like.dtype) / height
+    fx = torch.arange(width // 2 + 1, device=like.device, dtype=like.dtype) / width
+    return 4 * (torch.sin(torch.pi * fy).square()[:, None] + torch.sin(torch.pi * fx).square()[None, :])
 
 
 def psf_to_otf(kernel: Tensor, shape: tuple[int, int]) -> Tensor:
@@ -107,9 +114,7 @@ def _sine_basis(size: int, like: Tensor) -> tuple[Tensor, Tensor]:
     return basis, 2 - 2 * torch.cos(angle * index)
 
 
-def _sampled(
-    stack: Tensor, rows: int, columns: int, pitch: float, row0: float, column0: float, mode: str
-) -> Tensor:
+def _sampled(stack: Tensor, rows: int, columns: int, pitch: float, row0: float, column0: float, mode: str) -> Tensor:
     """Sample (B, 1, H, W) at ``start + pitch i`` in pixel indices, zero outside."""
     height, width = stack.shape[-2:]
     y = row0 + pitch * torch.arange(rows, device=stack.device, dtype=stack.dtype)

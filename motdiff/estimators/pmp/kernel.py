@@ -1,72 +1,87 @@
-"""The blur kernel of one blind step: regularised least squares on gradients, cleaned; batched in torch."""
+"""The blur kernel of one blind step: sparse non-negative least squares on gradients; batched in torch."""
 
 from __future__ import annotations
+
+import math
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from motdiff.estimators.pmp.grids import fast_size
+from motdiff.estimators.pmp.grids import fast_size, gradient_power
 
 __all__ = ["centred", "fit_kernel", "without_specks"]
 
-_RIDGE = 2.0
-_CG_STEPS = 20
-_CG_TOLERANCE = 1e-5
+_ROUNDS = (25, 50)  # descent steps: a first fit measures the residual, the second is regularised by it
 _SMALL_SHARE = 0.05
 _SPECK_MASS = 0.1
+_SPARSITY_CAP = 0.3
 
 
 def fit_kernel(
-    latent: tuple[Tensor, Tensor], blurred: tuple[Tensor, Tensor], *, size: int, ridge: float = _RIDGE
+    latent: tuple[Tensor, Tensor],
+    blurred: tuple[Tensor, Tensor],
+    *,
+    size: int,
+    ridge: float,
+    smoothness: float,
+    sparsity: float,
 ) -> Tensor:
-    """Kernel (B, size, size) that turns latent gradients into blurred ones: least squares with a ridge, then cleaned.
+    r"""Kernel (B, size, size) that turns latent gradients into blurred ones: a sparse non-negative least squares.
 
-    The normal equations are Toeplitz in the kernel, so the conjugate gradients run on a frame of twice the kernel's
-    size instead of the photo's.
+    Minimises ``|L k - b|^2 + ridge |k|^2 + smoothness |grad k|^2 + 2 s sum(k)`` over ``k >= 0`` by accelerated
+    projected gradients. ``s = sparsity * sigma * |L|`` scales with the noise that reaches the normal equations:
+    ``sigma`` is the rms residual of a first fit and ``|L|^2`` the energy of the latent gradients. The normal
+    equations are Toeplitz in the kernel, so they run on a frame of twice the kernel's size instead of the photo's.
 
     Parameters
     ----------
-    latent, blurred : pairs of (B, H, W) float
-        Horizontal and vertical differences.
+    latent, blurred : pairs of (B, C, H, W) float
+        Horizontal and vertical differences of C crops that share one kernel.
     size : int
         Odd side of the kernel, px.
-    ridge : float
-        Weight of the kernel's squared norm, in units of squared gradients.
+    ridge, smoothness : float
+        Weights of the kernel's squared values and of its squared differences.
+    sparsity : float
+        Weight of its sum, in standard deviations of the noise.
 
     References
     ----------
-    Cho and Lee, "Fast motion deblurring", SIGGRAPH Asia 2009, section 4.
+    Cho and Lee, "Fast motion deblurring", SIGGRAPH Asia 2009, section 4 (least squares on gradients); Beck and
+    Teboulle, SIAM J. Imaging Sciences 2009 (the descent). Non-negativity and the noise-scaled sparsity are ours.
     """
-    height, width = latent[0].shape[-2:]
+    _, crops, height, width = latent[0].shape
     frame = (fast_size(height + size), fast_size(width + size))
     spectra = [torch.fft.rfft2(gradient, s=frame) for gradient in (*latent, *blurred)]
-    power = spectra[0].abs().square() + spectra[1].abs().square()
-    cross = spectra[0].conj() * spectra[2] + spectra[1].conj() * spectra[3]
+    power = (spectra[0].abs().square() + spectra[1].abs().square()).sum(dim=1)
+    cross = (spectra[0].conj() * spectra[2] + spectra[1].conj() * spectra[3]).sum(dim=1)
     right = _lags(torch.fft.irfft2(cross, s=frame), size // 2)
     small = fast_size(2 * size - 1)
     lags = _lags(torch.fft.irfft2(power, s=frame), size - 1)
     corner = functional.pad(lags, (0, small - lags.shape[-1], 0, small - lags.shape[-2]))
-    transfer = torch.fft.rfft2(corner.roll((-(size - 1), -(size - 1)), (-2, -1))).real
+    data = torch.fft.rfft2(corner.roll((-(size - 1), -(size - 1)), (-2, -1))).real.clamp(min=0)
+    transfer = data + smoothness * gradient_power(small, small, right) + ridge
 
-    def normal(x: Tensor) -> Tensor:
-        product = torch.fft.irfft2(transfer * torch.fft.rfft2(x, s=(small, small)), s=(small, small))
-        return product[:, :size, :size] + ridge * x
+    def applied(response: Tensor, x: Tensor) -> Tensor:
+        product: Tensor = torch.fft.irfft2(response * torch.fft.rfft2(x, s=(small, small)), s=(small, small))
+        return product[:, :size, :size]
 
+    latent_energy = lags[:, size - 1, size - 1].clamp(min=1e-12)
+    blurred_energy = (blurred[0].square() + blurred[1].square()).sum(dim=(1, 2, 3))
+    variance = blurred_energy / (2 * crops * height * width)
+    step = 1 / transfer.amax(dim=(1, 2), keepdim=True)
     kernel = torch.full_like(right, 1 / size**2)
-    residual = right - normal(kernel)
-    direction = residual
-    energy = residual.square().sum(dim=(1, 2), keepdim=True)
-    for _ in range(_CG_STEPS):
-        applied = normal(direction)
-        step = energy / (direction * applied).sum(dim=(1, 2), keepdim=True).clamp(min=1e-30)
-        kernel = kernel + step * direction
-        residual = residual - step * applied
-        lower = residual.square().sum(dim=(1, 2), keepdim=True)
-        if bool((lower.sqrt() < _CG_TOLERANCE).all()):
-            break
-        direction = residual + lower / energy.clamp(min=1e-30) * direction
-        energy = lower
+    for steps in _ROUNDS:
+        level = torch.minimum(sparsity * (variance * latent_energy).sqrt(), _SPARSITY_CAP * right.amax(dim=(1, 2)))
+        target = right - level[:, None, None].clamp(min=0)
+        ahead, momentum = kernel, 1.0
+        for _ in range(steps):
+            descended = (ahead - step * (applied(transfer, ahead) - target)).clamp(min=0)
+            following = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
+            ahead = descended + (momentum - 1) / following * (descended - kernel)
+            kernel, momentum = descended, following
+        misfit = blurred_energy - (kernel * (2 * right - applied(data, kernel))).sum(dim=(1, 2))
+        variance = misfit.clamp(min=0) / (2 * crops * height * width)
     peak = kernel.amax(dim=(1, 2), keepdim=True)
     return _normalised(torch.where(kernel < _SMALL_SHARE * peak, torch.zeros_like(kernel), kernel))
 
@@ -111,4 +126,8 @@ def _lags(correlation: Tensor, reach: int) -> Tensor:
 
 
 def _normalised(kernel: Tensor) -> Tensor:
+    """Sum 1; a kernel without light becomes a point."""
+    point = torch.zeros_like(kernel)
+    point[:, kernel.shape[1] // 2, kernel.shape[2] // 2] = 1
+    kernel = torch.where(kernel.sum(dim=(1, 2), keepdim=True) > 0, kernel, point)
     return kernel / kernel.sum(dim=(1, 2), keepdim=True).clamp(min=1e-12)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from motdiff.estimators.pmp.grids import psf_to_otf
+from motdiff.estimators.pmp.grids import gradient_power, psf_to_otf
 
 __all__ = ["l0_pmp_latent", "salient_gradients", "start_threshold"]
 
@@ -57,7 +57,7 @@ def l0_pmp_latent(
     otf = psf_to_otf(kernel, (height, width))
     power = otf.abs().square()
     data = otf.conj() * torch.fft.rfft2(blurred)
-    laplacian = _gradient_power(height, width, blurred)
+    laplacian = gradient_power(height, width, blurred)
     photo = blurred
     alpha = 2.0 * gradient_weight
     while alpha < _ALPHA_MAX:
@@ -120,12 +120,6 @@ def salient_gradients(photo: Tensor, threshold: Tensor) -> tuple[Tensor, Tensor]
 def _forward_gradients(photo: Tensor) -> tuple[Tensor, Tensor]:
     inner = photo[:, :-1, :-1]
     return photo[:, :-1, 1:] - inner, photo[:, 1:, :-1] - inner
-
-
-def _gradient_power(height: int, width: int, like: Tensor) -> Tensor:
-    fy = torch.arange(height, device=like.device, dtype=like.dtype) / height
-    fx = torch.arange(width // 2 + 1, device=like.device, dtype=like.dtype) / width
-    return 4 * (torch.sin(torch.pi * fy).square()[:, None] + torch.sin(torch.pi * fx).square()[None, :])
 
 
 def _shrink_minimal_pixels(photo: Tensor, weight: float, patch_px: int, *, soft: bool) -> Tensor:

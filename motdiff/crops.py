@@ -1,0 +1,158 @@
+"""Where to look in a large photo: textured, unsaturated crops, and whether the blur is the same in all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from motdiff.metrics import mnc_subpixel
+
+__all__ = ["CLIPPED_LEVEL", "blur_differs_warning", "clipped_mask", "luminance", "pick_crops", "uniformity"]
+
+FloatArray = NDArray[np.float64]
+
+CLIPPED_LEVEL = 0.98  # JPEG and demosaicing leave a clipped area a little below full scale
+_CLIPPED_SHARE = 0.02  # a crop with this share of clipped pixels is used only when there is nothing else
+_OVERLAP_SHARE = 0.25
+
+
+def luminance(photo: ArrayLike) -> FloatArray:
+    """Mean of the colour channels, (H, W); a grey photo as it is.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, C) array_like, linear light
+
+    Raises
+    ------
+    ValueError
+        If the shape is another, or a value is not finite.
+    """
+    image = np.asarray(photo, dtype=np.float64)
+    if image.ndim not in (2, 3) or 0 in image.shape:
+        raise ValueError(f"photo: must be (H, W) or (H, W, C), got shape {image.shape}")
+    if not np.isfinite(image).all():
+        raise ValueError("photo: must be finite, found NaN or infinity")
+    return image if image.ndim == 2 else image.mean(axis=2)
+
+
+def clipped_mask(photo: ArrayLike, *, level: float = CLIPPED_LEVEL) -> NDArray[np.bool_]:
+    """Pixels (H, W) with a channel at or above ``level``.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, C) array_like, linear light 0..1
+    level : float
+    """
+    high = np.asarray(photo) >= level
+    return np.asarray(high if high.ndim == 2 else high.any(axis=2))
+
+
+def pick_crops(photo: ArrayLike, *, size: int = 256, count: int = 4) -> list[tuple[int, int]]:
+    """Choose crops that tell the most about the blur: edges in several directions, few clipped pixels, little overlap.
+
+    A crop is worth the smaller eigenvalue of its structure tensor (the summed outer products of the gradient), so that
+    stripes of one direction, which hide the motion along them, count for nothing.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, C) array_like, linear light 0..1
+    size : int, px
+        Side of the square crops; a smaller photo is taken whole in that direction.
+    count : int
+        Most crops wanted.
+
+    Returns
+    -------
+    list of (row, column), the crops' first pixels, best first: at least one, at most ``count``.
+
+    Raises
+    ------
+    ValueError
+        If the photo is not an image, or ``size`` or ``count`` is not positive.
+
+    References
+    ----------
+    Hu and Yang, "Good regions to deblur", ECCV 2012.
+    """
+    image = luminance(photo)
+    if size < 2 or count < 1:
+        raise ValueError(f"size, count: must be at least 2 and 1, got {size} and {count}")
+    height, width = (min(size, n) for n in image.shape)
+    clipped = clipped_mask(photo)
+    dy, dx = _gradients(image)
+    dy[clipped], dx[clipped] = 0, 0
+    rows, columns = (_starts(n, length) for n, length in zip(image.shape, (height, width), strict=True))
+
+    def window_mean(values: NDArray[np.float64]) -> FloatArray:
+        summed = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
+        np.cumsum(values, axis=0, out=summed[1:, 1:])
+        np.cumsum(summed, axis=1, out=summed)
+        low, high = summed[rows], summed[rows + height]
+        total = high[:, columns + width] - high[:, columns] - low[:, columns + width] + low[:, columns]
+        return np.asarray(total / (height * width), dtype=np.float64)
+
+    xx, yy, xy = window_mean(dx * dx), window_mean(dy * dy), window_mean(dx * dy)
+    smaller = 0.5 * (xx + yy - np.hypot(xx - yy, 2 * xy))
+    # a clipped crop ranks behind every other one, by the same measure
+    score = np.maximum(smaller, 0) * np.maximum(1 - window_mean(clipped.astype(np.float64)) / _CLIPPED_SHARE, 1e-6)
+    chosen: list[tuple[int, int]] = []
+    for index in np.argsort(-score, axis=None, kind="stable"):
+        row, column = int(rows[index // len(columns)]), int(columns[index % len(columns)])
+        if all(_overlap(row - r, column - c, height, width) <= _OVERLAP_SHARE for r, c in chosen):
+            chosen.append((row, column))
+            if len(chosen) == count:
+                break
+    return chosen
+
+
+def uniformity(psfs: Sequence[ArrayLike]) -> float:
+    """Mean mutual sub-pixel MNC of PSFs from several places of a photo: 1 = the same blur; 1 for a single one.
+
+    Parameters
+    ----------
+    psfs : sequence of (S, S) array_like
+
+    Raises
+    ------
+    ValueError
+        If there are none.
+    """
+    if not psfs:
+        raise ValueError("psfs: needs at least one")
+    return float(np.mean([mnc_subpixel(a, b) for a, b in combinations(psfs, 2)] or [1.0]))
+
+
+def blur_differs_warning(psfs: Sequence[ArrayLike], *, limit: float = 0.75) -> str | None:
+    """Return a sentence for the user when the blur differs across the photo, else None.
+
+    Parameters
+    ----------
+    psfs : sequence of (S, S) array_like
+        Kernels of single crops.
+    limit : float
+        Least mutual MNC that counts as one blur. Unrelated motions of a hand reach 0.4 to 0.55.
+    """
+    score = uniformity(psfs)
+    if score >= limit:
+        return None
+    return (
+        f"The blur differs across the photo (mutual MNC {score:.2f} of {len(psfs)} crops): no single trajectory fits."
+    )
+
+
+def _gradients(image: FloatArray) -> tuple[FloatArray, FloatArray]:
+    dy, dx = np.zeros_like(image), np.zeros_like(image)
+    dy[:-1], dx[:, :-1] = np.diff(image, axis=0), np.diff(image, axis=1)
+    return dy, dx
+
+
+def _starts(length: int, size: int) -> NDArray[np.intp]:
+    return np.unique(np.append(np.arange(0, length - size + 1, max(1, size // 8)), length - size))
+
+
+def _overlap(dy: int, dx: int, height: int, width: int) -> float:
+    return max(0, height - abs(dy)) * max(0, width - abs(dx)) / (height * width)

@@ -1,0 +1,95 @@
+"""Motion from a gyroscope that rode on the camera: path, dwell and direction are all measured."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+
+from motdiff import crops
+from motdiff.estimators.base import MotionEstimate
+from motdiff.gyro import DEFAULT_AXES, GyroTrace, roll_rad, trajectory_from_gyro
+
+__all__ = ["GyroEstimator"]
+
+_ROLL_LIMIT_PX = 1.0
+_TRUSTED_STEP_S = 0.01  # hands shake up to about 12 Hz; a slower recording misses part of it
+
+
+@dataclass(frozen=True)
+class GyroEstimator:
+    """Integrate a gyroscope's rates over the exposure.
+
+    The photo is only looked at for its size: the trajectory is that of :func:`motdiff.gyro.trajectory_from_gyro`, with
+    known direction and dwell, and shares its assumptions (rotation only, small angles, one motion for the whole photo).
+
+    ``confidence`` is 1 less the share of the motion that the trajectory cannot hold: displacement by roll at the
+    photo's corner over the extent of the path, and the longest gap between readings over the exposure; an exposure
+    with no reading inside has 0.
+
+    Parameters
+    ----------
+    trace : GyroTrace
+    focal_px : float, px
+        Focal length divided by the pixel pitch.
+    start_s : float, seconds
+        Opening of the shutter, on the trace's clock.
+    exposure_s : float, seconds
+    axes : two signed sensor axes
+        As :func:`motdiff.gyro.image_rates_rad_s`.
+    size : int, px
+        Frame of the PSF; a longer path gets the frame it needs.
+    """
+
+    trace: GyroTrace
+    focal_px: float
+    start_s: float
+    exposure_s: float
+    axes: tuple[str, str] = DEFAULT_AXES
+    size: int = 64
+
+    def estimate(self, photo: ArrayLike) -> MotionEstimate:
+        """Return the motion during the exposure of ``photo``, (H, W) or (H, W, C).
+
+        Raises
+        ------
+        ValueError
+            If the exposure does not lie within the trace, or a parameter is not positive.
+        """
+        height, width = crops.luminance(photo).shape
+        window = {"start_s": self.start_s, "exposure_s": self.exposure_s}
+        trajectory = trajectory_from_gyro(self.trace, focal_px=self.focal_px, axes=self.axes, **window)
+        roll = roll_rad(self.trace, axes=self.axes, **window)
+        corner_px = 0.5 * math.hypot(height, width)
+        inside = (self.trace.t_s >= self.start_s) & (self.trace.t_s <= self.start_s + self.exposure_s)
+        readings = int(inside.sum())
+        step_s = 1 / self.trace.sample_rate_hz
+        warnings = []
+        if roll * corner_px > _ROLL_LIMIT_PX:
+            warnings.append(
+                f"Roll about the optical axis moved the corners by {roll * corner_px:.1f} px; "
+                "the trajectory leaves it out."
+            )
+        if readings < 2 or step_s > _TRUSTED_STEP_S:
+            warnings.append(
+                f"Only {readings} gyro readings during the exposure ({1 / step_s:.0f} Hz): faster shake is not seen."
+            )
+        frame = max(self.size, trajectory.frame_size())
+        if frame > self.size:
+            warnings.append(f"The path needs a PSF frame of {frame} px, more than the {self.size} px asked for.")
+        lost = roll * corner_px / max(trajectory.extent_px + roll * corner_px, 1e-9)
+        sampled = max(0.0, 1 - step_s / self.exposure_s) if readings else 0.0
+        details: dict[str, object] = {
+            "roll_rad": roll,
+            "roll_at_corner_px": roll * corner_px,
+            "readings": readings,
+            "sample_rate_hz": 1 / step_s,
+            "focal_px": self.focal_px,
+            "start_s": self.start_s,
+            "exposure_s": self.exposure_s,
+            "axes": list(self.axes),
+        }
+        return MotionEstimate(
+            "gyro", (trajectory,), (1.0,), trajectory.psf(frame), (1 - lost) * sampled, tuple(warnings), details
+        )

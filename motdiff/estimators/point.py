@@ -1,0 +1,182 @@
+"""Motion from a photo of a small light that drew its own path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from motdiff import crops
+from motdiff.estimators.base import MotionEstimate
+from motdiff.metrics import mnc_subpixel, register_shift
+from motdiff.tracing import trace_psf_to_trajectory
+
+__all__ = ["PointEstimator"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_GAP_PX = 2  # breaks in a streak up to twice this are bridged: noise where the light ran fast
+_KEPT_SIGMA = 3.0
+_FOUND_SIGMA = 5.0
+_LOST_TO_CLIPPING = 0.02
+
+
+@dataclass(frozen=True)
+class _Streak:
+    psf: FloatArray
+    flux: float
+    noise: float
+    clipped_share: float
+    box: tuple[int, int, int, int]  # row, column, height, width
+
+
+@dataclass(frozen=True)
+class PointEstimator:
+    """Take the streak of a point light, on a darker background, as the PSF.
+
+    Assumes that the light is small against a pixel (a distant lamp, a laser spot, a star): nothing is deconvolved, so
+    a light d px wide widens the path by d. The background is the local median; a streak is what rises above its noise.
+    Streaks that touch the photo's border are left out, saturated ones come after all others, as their dwell is cut.
+    Several lights that agree with the best one (sub-pixel MNC) are averaged, weighted by their signal-to-noise ratio.
+
+    The PSF's centroid lies within half a pixel of the frame's centre.
+
+    ``confidence`` is the share of the streak that its noise leaves certain, ``snr^2 / (1 + snr^2)`` with the SNR of the
+    whole PSF (its norm over the noise in its support), times the unsaturated share of the streak's pixels.
+
+    Parameters
+    ----------
+    size : int, px
+        Frame of the PSF: longer streaks are not considered.
+    agreement : float
+        Least MNC with the best streak for another one to count.
+    most : int
+        Lights averaged at most.
+    """
+
+    size: int = 64
+    agreement: float = 0.9
+    most: int = 8
+
+    def __post_init__(self) -> None:
+        if self.size < 3:
+            raise ValueError(f"size: must be at least 3 px, got {self.size}")
+
+    def estimate(self, photo: ArrayLike) -> MotionEstimate:
+        """Estimate the motion from ``photo``, (H, W) or (H, W, C) float, linear light 0..1.
+
+        Raises
+        ------
+        ValueError
+            If the photo shows no streak that fits the frame.
+        """
+        light = crops.luminance(photo)
+        streaks, too_long, cut_off = _streaks(light, crops.clipped_mask(photo), self.size)
+        if not streaks:
+            why = f"; {too_long} longer than the {self.size} px frame" if too_long else ""
+            why += f"; {cut_off} cut off by the photo's border" if cut_off else ""
+            raise ValueError(f"photo: shows no light streak above its background{why}")
+        best = max(streaks, key=lambda s: (s.clipped_share <= _LOST_TO_CLIPPING, _snr(s)))
+        others = sorted((s for s in streaks if s is not best), key=_snr, reverse=True)
+        # faint streaks neither help nor tell whether the blur differs
+        comparable = [s for s in others if _snr(s) > 0.2 * _snr(best) and s.clipped_share <= _LOST_TO_CLIPPING]
+        agreeing = [s for s in comparable if mnc_subpixel(best.psf, s.psf) >= self.agreement][: self.most - 1]
+        psf = _centred(_average([best, *agreeing]), self.size)
+        warnings = []
+        if best.clipped_share > _LOST_TO_CLIPPING:
+            warnings.append(
+                f"The light is saturated on {100 * best.clipped_share:.0f} % of its streak: "
+                "the dwell there is cut off; expose less or dim the light."
+            )
+        if len(comparable) >= 2 and len(agreeing) < len(comparable) / 2:
+            warnings.append(
+                f"Of {1 + len(comparable)} streaks only {1 + len(agreeing)} agree: the blur differs across the photo, "
+                "or some are not lights."
+            )
+        details: dict[str, object] = {
+            "streaks": len(streaks),
+            "averaged": 1 + len(agreeing),
+            "snr": _snr(best),
+            "clipped_share": best.clipped_share,
+            "box_row_col_height_width": list(best.box),
+        }
+        snr = _snr(best)
+        confidence = snr**2 / (1 + snr**2) * (1 - best.clipped_share)
+        return MotionEstimate(
+            "point", (trace_psf_to_trajectory(psf),), (1.0,), psf, confidence, tuple(warnings), details
+        )
+
+
+def _snr(streak: _Streak) -> float:
+    """Norm of the streak over that of the noise in its support."""
+    support = max(1, int((streak.psf > 0).sum()))
+    return float(np.linalg.norm(streak.psf) * streak.flux / (max(streak.noise, 1e-6) * np.sqrt(support)))
+
+
+def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_Streak], int, int]:
+    """Streaks found, and how many were too long for the frame or cut off by the border."""
+    background = _background(light, size)
+    above = light - background
+    noise = float(1.4826 * np.median(np.abs(above - np.median(above))))
+    noise = max(noise, 1e-6)
+    # a small mean finds the faint, fast parts of a streak
+    smooth = ndimage.uniform_filter(above, 3)
+    bright = smooth > _KEPT_SIGMA * noise / 3 + 1e-4
+    joined = ndimage.binary_closing(np.pad(bright, _GAP_PX), iterations=_GAP_PX)[_GAP_PX:-_GAP_PX, _GAP_PX:-_GAP_PX]
+    labels, _ = ndimage.label(joined | bright, structure=np.ones((3, 3)))
+    found: list[_Streak] = []
+    too_long = cut_off = 0
+    for index, window in enumerate(ndimage.find_objects(labels), 1):
+        own = labels[window] == index
+        values = np.where(own, above[window], 0)
+        if values.max() < _FOUND_SIGMA * noise or values.sum() < _FOUND_SIGMA * noise * np.sqrt(own.sum()):
+            continue
+        rows, columns = window
+        if rows.start == 0 or columns.start == 0 or rows.stop == light.shape[0] or columns.stop == light.shape[1]:
+            cut_off += 1
+            continue
+        if max(values.shape) > size:
+            too_long += 1
+            continue
+        values = np.maximum(values, 0)
+        frame = np.zeros((size, size))
+        frame[: values.shape[0], : values.shape[1]] = values
+        share = float(clipped[window][own].sum()) / max(1, int((values > 0.1 * values.max()).sum()))
+        box = (rows.start, columns.start, values.shape[0], values.shape[1])
+        found.append(_Streak(frame / values.sum(), float(values.sum()), noise, min(1.0, share), box))
+    return found, too_long, cut_off
+
+
+def _background(light: FloatArray, size: int) -> FloatArray:
+    """Estimate the light behind the streaks: medians of blocks a few times the frame, joined smoothly."""
+    block = 2 * size
+    rows, columns = (np.array_split(np.arange(n), max(1, n // block)) for n in light.shape)
+    medians = np.array([[np.median(light[r[0] : r[-1] + 1, c[0] : c[-1] + 1]) for c in columns] for r in rows])
+    row_at = np.interp(np.arange(light.shape[0]), [r.mean() for r in rows], np.arange(len(rows)))
+    column_at = np.interp(np.arange(light.shape[1]), [c.mean() for c in columns], np.arange(len(columns)))
+    grid = np.meshgrid(row_at, column_at, indexing="ij")
+    return np.asarray(ndimage.map_coordinates(medians, grid, order=1, mode="nearest"), dtype=np.float64)
+
+
+def _average(streaks: list[_Streak]) -> FloatArray:
+    """Mean of the streaks, registered on the first, weighted by SNR squared."""
+    first = streaks[0]
+    total = np.zeros_like(first.psf)
+    for streak in streaks:
+        dx, dy = register_shift(first.psf, streak.psf)
+        moved = ndimage.shift(streak.psf, (dy, dx), order=3) if streak is not first else streak.psf
+        total += _snr(streak) ** 2 * np.maximum(moved, 0)
+    return np.asarray(total / total.sum(), dtype=np.float64)
+
+
+def _centred(psf: FloatArray, size: int) -> FloatArray:
+    """Move the centroid to index ``size // 2``, by the nearest whole pixel: interpolating would widen the path."""
+    at = np.arange(size)
+    shift = [size // 2 - round(float(at @ psf.sum(axis=axis))) for axis in (1, 0)]
+    room = np.pad(psf, size)
+    start = [size - s for s in shift]
+    moved = room[start[0] : start[0] + size, start[1] : start[1] + size]
+    return np.asarray(moved / moved.sum(), dtype=np.float64)

@@ -1,0 +1,282 @@
+"""Motion from a pair: the blurred photo and a sharp one of the same scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft, ndimage
+
+from motdiff import crops, psf_fit
+from motdiff.estimators.base import MotionEstimate
+from motdiff.metrics import mnc_subpixel
+from motdiff.registration import coarse_shift, high_passed
+from motdiff.tracing import trace_psf_to_trajectory
+
+__all__ = ["ReferenceEstimator"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_HIGH_PASS_PX = 4.0  # sigma; slower differences (vignetting, lamps, haze) say little about a kernel and mislead it
+_RIM_PX = int(3 * _HIGH_PASS_PX)  # the high-passed photo is not trusted this close to its border
+_SPLINE_MARGIN_PX = 8
+_LEAST_CROP_PX = 32
+_LAMP_REACH = 0.005  # share of a lamp's light that spoils a pixel
+_CHANNEL_SLACK = 0.005
+_LOST = 0.6
+
+
+@dataclass(frozen=True)
+class ReferenceEstimator:
+    """Find the kernel that turns a sharp photo into the blurred one.
+
+    The least clipped colour channels of both photos are averaged, high-passed (which removes offset and slow
+    differences of light), registered by cross-correlation and then to a fraction of a pixel by the kernel's own
+    centroid, and compared in textured, unsaturated crops. The kernel is the non-negative least-squares fit over all
+    pixels whose light comes from known pixels, with the exponential prior whose mean is that of a spread-out kernel;
+    the fit's own residual gives the noise that weighs it. The gain between the photos is the kernel's sum.
+
+    ``confidence`` is the share of the high-passed photo's variance, less its noise, that sharp * PSF explains, times
+    the MNC with the truth that the agreement of two fits, each to half of the pixels, lets expect.
+
+    Parameters
+    ----------
+    sharp : (H, W) or (H, W, C) float, linear light 0..1
+        Photo of the same scene in the same scale and orientation; its size may differ from the blurred photo's.
+    size : int, px
+        Frame of the PSF.
+    crop_px, crop_count : int
+        Side and number of the crops compared.
+
+    Raises
+    ------
+    ValueError
+        If the sharp photo is not an image, or ``size`` is below 3.
+    """
+
+    sharp: ArrayLike
+    size: int = 64
+    crop_px: int = 256
+    crop_count: int = 4
+
+    def __post_init__(self) -> None:
+        if self.size < 3:
+            raise ValueError(f"size: must be at least 3 px, got {self.size}")
+        crops.luminance(self.sharp)
+
+    def estimate(self, photo: ArrayLike) -> MotionEstimate:
+        """Estimate the motion in ``photo``, (H, W) or (H, W, C) float, linear light 0..1.
+
+        Raises
+        ------
+        ValueError
+            If a photo has no texture, or the two overlap too little for the PSF's frame.
+        """
+        sharp, blurred = (_Photo.of(*named) for named in _clean_channels(self.sharp, photo))
+        shift = coarse_shift(sharp.light, blurred.light, sigma_px=_HIGH_PASS_PX)
+        places = self._places(sharp, blurred, shift)
+        pairs = [self._pair(sharp, blurred, place, shift, None) for place in places]
+        noise = psf_fit.residual_variance(pairs, psf_fit.fit_psf(pairs, self.size, steps=4))
+        sparse = noise * self.size**2
+        psf = psf_fit.fit_psf(pairs, self.size, sparse=sparse)
+        for _ in range(2):  # the second time only where the first fit was cut by the frame
+            offset = _centroid(psf)
+            moved = (shift[0] + offset[0], shift[1] + offset[1])
+            places = self._places(sharp, blurred, moved)
+            pairs = [self._pair(sharp, blurred, place, moved, psf) for place in places]
+            psf, shift = psf_fit.fit_psf(pairs, self.size, sparse=sparse), moved
+            if math.hypot(*_centroid(psf)) < 0.1:
+                break
+        psf = _without_specks(psf)
+        gain = float(psf.sum())
+        if gain <= 0:
+            raise ValueError("photo: nothing of it follows from the sharp photo; is it the same scene?")
+        alone = [psf_fit.fit_psf([pair], self.size, sparse=sparse, start=psf, steps=3) for pair in pairs]
+        halves = [psf_fit.fit_psf(_half(pairs, side), self.size, sparse=sparse, start=psf, steps=3) for side in (0, 1)]
+        agreement = mnc_subpixel(*halves) if all(half.any() for half in halves) else 0.0
+        return self._report(
+            blurred, pairs, psf / gain, [k for k in alone if k.any()], gain, noise, shift, places, agreement
+        )
+
+    def _report(
+        self,
+        blurred: _Photo,
+        pairs: Sequence[psf_fit.PatchPair],
+        psf: FloatArray,
+        alone: Sequence[FloatArray],
+        gain: float,
+        noise: float,
+        shift: tuple[float, float],
+        places: Sequence[_Place],
+        agreement: float,
+    ) -> MotionEstimate:
+        explained = _explained_beyond_noise(pairs, gain * psf, blurred.noise_variance)
+        # of two fits to half of the pixels: the error energy of one, from which that of others follows
+        half_error = 1 / max(agreement, 1e-3) - 1
+        expected_mnc = 1 / math.sqrt(1 + half_error / 2)
+        warnings = []
+        if explained < _LOST:
+            warnings.append(
+                f"The sharp photo explains only {100 * explained:.0f} % of the blurred one: "
+                "other scene, scale or focus, or something moved."
+            )
+        # single crops may disagree through noise alone
+        by_noise = 1 / (1 + half_error * len(pairs) / 2)
+        differs = crops.blur_differs_warning(alone, limit=min(0.75, 0.85 * by_noise)) if len(alone) > 1 else None
+        if differs:
+            warnings.append(differs)
+        rim = 1 - float(psf[2:-2, 2:-2].sum())
+        if rim > 0.02:
+            warnings.append(f"The PSF reaches the rim of its {self.size} px frame: give a larger size.")
+        clipped = 1 - sum(pair.pixels for pair in pairs) / sum(pair.weight.size for pair in pairs)
+        if clipped > 0.05:
+            warnings.append(f"{100 * clipped:.0f} % of the compared pixels are saturated and were left out.")
+        details: dict[str, object] = {
+            "explained_share": explained,
+            "expected_mnc": expected_mnc,
+            "left_out_share": clipped,
+            "gain": gain,
+            "noise_sigma": math.sqrt(noise),
+            "shift_px": [float(shift[1]), float(shift[0])],
+            "crops_row_col": [[place.row, place.column] for place in places],
+            "crop_px": [places[0].height, places[0].width],
+            "uniformity": crops.uniformity(alone) if alone else 0.0,
+        }
+        confidence = min(1.0, max(0.0, explained)) * expected_mnc
+        return MotionEstimate(
+            "reference", (trace_psf_to_trajectory(psf),), (1.0,), psf, confidence, tuple(warnings), details
+        )
+
+    def _places(self, sharp: _Photo, blurred: _Photo, shift: tuple[float, float]) -> list[_Place]:
+        """Choose crops of the blurred photo whose light all comes from within the sharp one."""
+        before = self.size - 1 - self.size // 2 + _SPLINE_MARGIN_PX + _RIM_PX
+        after = self.size // 2 + _SPLINE_MARGIN_PX + _RIM_PX
+        low = [max(_RIM_PX, math.ceil(before + d)) for d in shift]
+        high = [
+            min(b - _RIM_PX, math.floor(s - after + d))
+            for b, s, d in zip(blurred.detail.shape, sharp.detail.shape, shift, strict=True)
+        ]
+        extent = [h - lo for h, lo in zip(high, low, strict=True)]
+        if min(extent) < _LEAST_CROP_PX:
+            raise ValueError(
+                f"sharp: overlaps the photo by {max(0, extent[1])} x {max(0, extent[0])} px inside margins, "
+                f"wanted at least {_LEAST_CROP_PX} each way; give larger photos or a smaller size than {self.size}"
+            )
+        rows, columns = slice(low[0], high[0]), slice(low[1], high[1])
+        dy, dx = (round(d) for d in shift)
+        beneath = (slice(low[0] - dy, high[0] - dy), slice(low[1] - dx, high[1] - dx))
+        scene = np.where(blurred.clipped[rows, columns] | sharp.clipped[beneath], 1.0, 0.5 * sharp.light[beneath])
+        found = crops.pick_crops(scene, size=self.crop_px, count=self.crop_count)
+        height, width = (min(self.crop_px, n) for n in extent)
+        return [_Place(low[0] + r, low[1] + c, height, width) for r, c in found]
+
+    def _pair(
+        self, sharp: _Photo, blurred: _Photo, place: _Place, shift: tuple[float, float], psf: FloatArray | None
+    ) -> psf_fit.PatchPair:
+        whole = [math.floor(d) for d in shift]
+        margin = _SPLINE_MARGIN_PX
+        first = [
+            start - d - (self.size - 1 - self.size // 2) - margin
+            for start, d in zip((place.row, place.column), whole, strict=True)
+        ]
+        lengths = [n + self.size - 1 + 2 * margin for n in (place.height, place.width)]
+        cut = tuple(slice(f, f + n) for f, n in zip(first, lengths, strict=True))
+        part = [d - w for d, w in zip(shift, whole, strict=True)]
+        patch = sharp.detail[cut]
+        if max(part) > 1e-3:
+            patch = ndimage.shift(patch, part, order=5, mode="nearest")
+        inner = (slice(margin, -margin),) * 2
+        window = (slice(place.row, place.row + place.height), slice(place.column, place.column + place.width))
+        good = ~ndimage.binary_dilation(blurred.clipped[window], iterations=2)
+        lamps = sharp.clipped[cut][inner]
+        if psf is not None and lamps.any():
+            # light of unknown strength: leave out what it reaches
+            solid = np.where(psf > 0.05 * psf.max(), psf, 0)
+            spread = tuple(fft.next_fast_len(n, real=True) for n in lamps.shape)
+            spectrum = fft.rfft2(lamps.astype(np.float64), spread) * fft.rfft2(solid / solid.sum(), spread)
+            reach = fft.irfft2(spectrum, spread)
+            start = self.size - 1
+            good &= reach[start : lamps.shape[0], start : lamps.shape[1]] < _LAMP_REACH
+        weight = good.astype(np.float64)
+        return psf_fit.PatchPair(np.asarray(patch[inner], np.float64), blurred.detail[window], weight)
+
+
+@dataclass(frozen=True)
+class _Place:
+    row: int
+    column: int
+    height: int
+    width: int
+
+
+@dataclass(frozen=True)
+class _Photo:
+    light: FloatArray
+    detail: FloatArray
+    clipped: BoolArray
+    noise_variance: float
+
+    @classmethod
+    def of(cls, name: str, photo: ArrayLike) -> _Photo:
+        light = crops.luminance(photo)
+        if min(light.shape) < _LEAST_CROP_PX:
+            raise ValueError(f"{name}: {light.shape[1]} x {light.shape[0]} px is too small to compare")
+        detail = high_passed(light, sigma_px=_HIGH_PASS_PX)
+        if float(detail.std()) < 1e-6:
+            raise ValueError(f"{name}: has no texture to compare (constant image?)")
+        return cls(light, detail, crops.clipped_mask(photo), _noise_variance(light))
+
+
+def _clean_channels(sharp: ArrayLike, photo: ArrayLike) -> tuple[tuple[str, FloatArray], tuple[str, FloatArray]]:
+    """Keep the colour channels with the fewest clipped pixels: a red sky may still be measured in green."""
+    a, b = np.asarray(sharp, dtype=np.float64), np.asarray(photo, dtype=np.float64)
+    if a.ndim == b.ndim == 3 and a.shape[2] == b.shape[2] and a.size and b.size:
+        share = np.maximum(*((image >= crops.CLIPPED_LEVEL).mean(axis=(0, 1)) for image in (a, b)))
+        kept = share <= share.min() + _CHANNEL_SLACK
+        a, b = a[..., kept], b[..., kept]
+    return ("sharp", a), ("photo", b)
+
+
+def _noise_variance(light: FloatArray) -> float:
+    """Estimate white noise from the finest diagonal detail, of which a scene has little in most places."""
+    diagonal = 0.5 * (light[1:, 1:] - light[:-1, 1:] - light[1:, :-1] + light[:-1, :-1])
+    return float((np.median(np.abs(diagonal)) / 0.6745) ** 2)
+
+
+def _explained_beyond_noise(pairs: Sequence[psf_fit.PatchPair], psf: FloatArray, noise_variance: float) -> float:
+    pixels = max(1.0, sum(pair.pixels for pair in pairs))
+    variance = sum(float((pair.weight * pair.blurred**2).sum()) for pair in pairs) / pixels
+    left = max(0.0, psf_fit.residual_variance(pairs, psf) - noise_variance)
+    signal = variance - noise_variance
+    return float(1 - left / signal) if signal > 0.02 * variance else 0.0
+
+
+def _without_specks(psf: FloatArray) -> FloatArray:
+    """Drop what lies apart from the path and holds little light: noise scattered over the frame."""
+    solid = psf > 0.03 * psf.max()
+    labels, count = ndimage.label(ndimage.binary_dilation(solid, np.ones((3, 3)), iterations=2), np.ones((3, 3)))
+    light = ndimage.sum_labels(psf, labels, np.arange(count + 1))
+    light[0] = 0
+    return np.where((light >= 0.02 * psf.sum())[labels], psf, 0)
+
+
+def _half(pairs: Sequence[psf_fit.PatchPair], side: int) -> list[psf_fit.PatchPair]:
+    """Keep the left (0) or right (1) half of the pixels of every pair."""
+    kept = []
+    for pair in pairs:
+        right = np.arange(pair.weight.shape[1]) >= pair.weight.shape[1] // 2
+        kept.append(replace(pair, weight=pair.weight * (right == bool(side))))
+    return kept
+
+
+def _centroid(psf: FloatArray) -> tuple[float, float]:
+    """Return (y, x) of the PSF's centre of mass from index ``size // 2``, px."""
+    total = float(psf.sum())
+    if total <= 0:
+        return 0.0, 0.0
+    at = np.arange(len(psf)) - len(psf) // 2
+    return float(at @ psf.sum(axis=1)) / total, float(at @ psf.sum(axis=0)) / total

@@ -1,0 +1,192 @@
+"""Random camera motions for simulation: Boracchi-Foi, uniform straight, accelerated, and real gyro windows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from motdiff.gyro import GyroTrace, trajectory_from_gyro
+from motdiff.trajectory import Trajectory
+
+__all__ = ["DEBLURGAN_EXPL", "boracchi_foi", "quadratic", "random_gyro_motion", "random_straight"]
+
+DEBLURGAN_EXPL = (0.01, 0.009, 0.008, 0.007, 0.005, 0.003)
+_WINDOW_TRIES = 200
+
+
+def boracchi_foi(
+    rng: np.random.Generator,
+    *,
+    max_length_px: float = 60.0,
+    expl: float | None = None,
+    samples: int = 2000,
+    inertia_max: float = 0.7,
+    big_shake_max: float = 0.2,
+    gaussian_max: float = 10.0,
+    big_shake_strength: float = 2.0,
+    big_shake_spread_rad: float = 0.5,
+) -> Trajectory:
+    """Draw a random walk of constant speed with inertia and sudden reversals, as DeblurGAN's training data.
+
+    Arc length is exactly ``max_length_px``; the path is centred on its time-mean (the original is not centred).
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    max_length_px : float, px
+    expl : float, optional
+        "Anxiety": scales every random change of the velocity; drawn from :data:`DEBLURGAN_EXPL` when omitted.
+    samples : int
+        Points on the path, evenly spaced in time.
+    inertia_max, big_shake_max, gaussian_max : float
+        Upper ends of the uniform laws of the pull to the start, the probability of a big shake (times ``expl`` per
+        step) and the strength of the Gaussian changes.
+    big_shake_strength, big_shake_spread_rad : float
+        A big shake adds the velocity turned by 180 degrees +- the spread, times the strength.
+
+    Raises
+    ------
+    ValueError
+        If the length or ``expl`` is not positive, or there are fewer than 2 samples.
+
+    References
+    ----------
+    Boracchi and Foi, "Modeling the performance of image restoration from motion blur", IEEE TIP 21(8), 2012.
+    Kupyn et al., "DeblurGAN", CVPR 2018, Algorithm 1, with the constants of its released code.
+    """
+    _positive("max_length_px", max_length_px)
+    if samples < 2:
+        raise ValueError(f"samples: needs at least 2, got {samples}")
+    if expl is None:
+        expl = float(rng.choice(DEBLURGAN_EXPL))
+    _positive("expl", expl)
+    inertia, big_shake, gaussian = (top * rng.random() for top in (inertia_max, big_shake_max, gaussian_max))
+    angle_rad = rng.uniform(0, 2 * np.pi)
+    steps = samples - 1
+    # all in units of one step, so that the velocity has modulus 1
+    normal = rng.standard_normal((2, steps))
+    shakes: list[complex] = (expl * gaussian * (normal[0] + 1j * normal[1])).tolist()
+    when = np.flatnonzero(rng.random(steps) < big_shake * expl)
+    turns = np.pi + big_shake_spread_rad * rng.uniform(-1, 1, when.size)
+    kicks = dict(zip(when.tolist(), (big_shake_strength * np.exp(1j * turns)).tolist(), strict=True))
+    pull = expl * inertia * max_length_px / steps
+    velocity, position = complex(math.cos(angle_rad), math.sin(angle_rad)), 0j
+    path = [position]
+    for i, shake in enumerate(shakes):
+        velocity += shake - pull * position + (kicks[i] * velocity if i in kicks else 0)
+        velocity /= abs(velocity)
+        position += velocity
+        path.append(position)
+    points = np.array(path) * (max_length_px / steps)
+    return Trajectory.from_samples(np.column_stack([points.real, points.imag]), direction="known")
+
+
+def random_straight(rng: np.random.Generator, *, min_length_px: float = 5.0, max_length_px: float = 40.0) -> Trajectory:
+    """Draw a uniform straight motion, length and angle uniform.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    min_length_px, max_length_px : float, px
+    """
+    length_px = _drawn_length(rng, min_length_px, max_length_px)
+    return Trajectory.straight(length_px, angle_rad=rng.uniform(0, 2 * np.pi), direction="known")
+
+
+def quadratic(
+    rng: np.random.Generator,
+    *,
+    min_length_px: float = 5.0,
+    max_length_px: float = 40.0,
+    max_bend: float = 1.0,
+    samples: int = 200,
+) -> Trajectory:
+    """Draw a motion of constant acceleration: a piece of a parabola, run at the parabola's own pace.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    min_length_px, max_length_px : float, px
+        Range of the arc length.
+    max_bend : float
+        Largest change of velocity during the exposure over the mean velocity; below 2 the motion never turns back.
+    samples : int
+        Points on the path, evenly spaced in time.
+
+    Raises
+    ------
+    ValueError
+        If the lengths are not positive and ordered, ``max_bend`` is negative, or there are fewer than 2 samples.
+    """
+    if samples < 2:
+        raise ValueError(f"samples: needs at least 2, got {samples}")
+    if not (math.isfinite(max_bend) and max_bend >= 0):
+        raise ValueError(f"max_bend: must be a non-negative number, got {max_bend}")
+    length_px = _drawn_length(rng, min_length_px, max_length_px)
+    mean_rad, change_rad = rng.uniform(0, 2 * np.pi, 2)
+    change = max_bend * math.sqrt(rng.random())  # uniform over the disc
+    t = np.linspace(0, 1, samples) - 0.5
+    points = t * np.exp(1j * mean_rad) + 0.5 * t**2 * change * np.exp(1j * change_rad)
+    points *= length_px / np.abs(np.diff(points)).sum()
+    return Trajectory.from_samples(np.column_stack([points.real, points.imag]), direction="known")
+
+
+def random_gyro_motion(
+    trace: GyroTrace,
+    rng: np.random.Generator,
+    *,
+    exposure_s: float,
+    extent_px: float,
+    min_extent_rad: float = 2e-4,
+    rotate: bool = True,
+) -> Trajectory:
+    """Draw a real hand shake: a random window of ``trace``, with the focal length that gives it ``extent_px``.
+
+    Parameters
+    ----------
+    trace : GyroTrace
+    rng : numpy.random.Generator
+    exposure_s : float, seconds
+    extent_px : float, px
+        Larger side of the path's bounding box.
+    min_extent_rad : float
+        Windows stiller than this are drawn again: enlarged, they would show the sensor's noise.
+    rotate : bool
+        Turn the path by a random angle, so that the recording's own habit does not show.
+
+    Raises
+    ------
+    ValueError
+        If the trace is shorter than the exposure, or too still.
+    """
+    _positive("exposure_s", exposure_s)
+    _positive("extent_px", extent_px)
+    spare_s = trace.duration_s - exposure_s
+    if spare_s < 0:
+        raise ValueError(f"exposure_s: {exposure_s} s does not fit the trace of {trace.duration_s:.3g} s")
+    for _ in range(_WINDOW_TRIES):
+        start_s = float(trace.t_s[0]) + spare_s * rng.random()
+        motion = trajectory_from_gyro(trace, focal_px=1.0, start_s=start_s, exposure_s=exposure_s)
+        if motion.extent_px < min_extent_rad:
+            continue
+        if rotate:
+            turn = rng.uniform(0, 2 * np.pi)
+            c, s = math.cos(turn), math.sin(turn)
+            xy = motion.xy @ np.array([[c, s], [-s, c]])
+            motion = Trajectory.from_samples(xy, t=motion.t, direction="known")
+        return motion.scaled(extent_px / motion.extent_px)
+    raise ValueError(
+        f"trace: {_WINDOW_TRIES} windows of {exposure_s} s turned by less than min_extent_rad = {min_extent_rad}"
+    )
+
+
+def _positive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(f"{name}: must be a positive number, got {value}")
+
+
+def _drawn_length(rng: np.random.Generator, low_px: float, high_px: float) -> float:
+    if not (math.isfinite(high_px) and 0 < low_px <= high_px):
+        raise ValueError(f"min_length_px: must be positive and at most max_length_px, got {low_px} and {high_px}")
+    return float(rng.uniform(low_px, high_px))

@@ -1,0 +1,168 @@
+"""Non-negative least squares for a PSF between pairs of sharp and blurred patches, at any valid pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+__all__ = ["PatchPair", "explained_share", "fit_psf", "residual_variance"]
+
+FloatArray = NDArray[np.float64]
+
+_INNER = 150
+_RHO = 2.0  # in units of the model's geometric mean
+_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True)
+class PatchPair:
+    """A blurred patch and the sharp one that made it, both high-passed and without their means.
+
+    Attributes
+    ----------
+    sharp : (h + S - 1, w + S - 1) float
+    blurred : (h, w) float
+        Blurred part ``sharp[valid_window(...)]`` for a PSF of size S.
+    weight : (h, w) float
+        0 where a pixel must not count (clipped), else 1.
+    """
+
+    sharp: FloatArray
+    blurred: FloatArray
+    weight: FloatArray
+
+    @property
+    def pixels(self) -> float:
+        """Pixels that count."""
+        return float(self.weight.sum())
+
+
+class _Operator:
+    """``A k = sharp * k`` on the valid pixels of one pair, its adjoint, and the Toeplitz model of ``A' W A``."""
+
+    def __init__(self, pair: PatchPair, size: int) -> None:
+        self.pair, self.size = pair, size
+        self.shape = tuple(fft.next_fast_len(n, real=True) for n in pair.sharp.shape)
+        self.spectrum = fft.rfft2(pair.sharp, self.shape)
+
+    def forward(self, psf: FloatArray) -> FloatArray:
+        full = fft.irfft2(self.spectrum * fft.rfft2(psf, self.shape), self.shape)
+        rows, columns = self.pair.sharp.shape
+        first = self.size - 1
+        return np.asarray(full[first:rows, first:columns], dtype=np.float64)
+
+    def adjoint(self, values: FloatArray) -> FloatArray:
+        # index i of the PSF meets sharp[u + S - 1 - i] at blurred pixel u
+        first = self.size - 1
+        padded = np.zeros(self.shape)
+        padded[first : first + values.shape[0], first : first + values.shape[1]] = values
+        full = fft.irfft2(np.conj(self.spectrum) * fft.rfft2(padded, self.shape), self.shape)
+        return np.asarray(full[: self.size, : self.size], dtype=np.float64)
+
+    def toeplitz_lags(self) -> FloatArray:
+        """Autocorrelation (2 S - 1, 2 S - 1) of the sharp patch, scaled to the pixels that count."""
+        padded = tuple(fft.next_fast_len(n + self.size, real=True) for n in self.pair.sharp.shape)
+        power = np.abs(fft.rfft2(self.pair.sharp, padded)) ** 2
+        lags = np.roll(fft.irfft2(power, padded), (self.size - 1, self.size - 1), axis=(0, 1))
+        share = self.pair.pixels / self.pair.sharp.size
+        return np.asarray(lags[: 2 * self.size - 1, : 2 * self.size - 1] * share, dtype=np.float64)
+
+
+def fit_psf(
+    pairs: Sequence[PatchPair],
+    size: int,
+    *,
+    sparse: float = 0.0,
+    start: FloatArray | None = None,
+    steps: int = 10,
+) -> FloatArray:
+    """Minimise ``sum W |blurred - sharp * k|^2 / 2 + sparse sum k`` over k >= 0.
+
+    A projected Newton method: the Hessian is modelled by the autocorrelation of the sharp patches (Toeplitz, so FFTs of
+    the PSF's frame apply and invert it), and an exact line search on the true objective makes every step a descent.
+
+    Parameters
+    ----------
+    pairs : sequence of PatchPair
+    size : int, px
+        Frame of the PSF.
+    sparse : float
+        Noise variance over the mean expected of a PSF value: the exponential prior.
+    start : (size, size) float, optional
+        Where to begin; nothing but time depends on it.
+    steps : int
+        Most Newton steps; 3 from a good start are within a percent.
+
+    Returns
+    -------
+    (size, size) float64, non-negative; its sum is the gain of the blurred photo over the sharp one.
+    """
+    operators = [_Operator(pair, size) for pair in pairs]
+    frame = (2 * size, 2 * size)
+    lags = sum(operator.toeplitz_lags() for operator in operators)
+    embedded = np.zeros(frame)
+    embedded[: 2 * size - 1, : 2 * size - 1] = lags
+    embedded = np.roll(embedded, (1 - size, 1 - size), axis=(0, 1))
+    model = np.maximum(fft.rfft2(embedded).real, 0)
+    psf = np.zeros((size, size)) if start is None else np.array(start, dtype=np.float64)
+    predicted = [operator.forward(psf) for operator in operators]
+    for _ in range(steps):
+        gradient = np.full((size, size), sparse)
+        for operator, image in zip(operators, predicted, strict=True):
+            gradient = gradient - operator.adjoint(operator.pair.weight * (operator.pair.blurred - image))
+        step = _constrained_step(psf, gradient, model) - psf
+        moved = [operator.forward(step) for operator in operators]
+        curvature = sum(float((o.pair.weight * image**2).sum()) for o, image in zip(operators, moved, strict=True))
+        slope = float((gradient * step).sum())
+        if not (slope < 0 < curvature):
+            break
+        length = min(1.0, -slope / curvature)
+        psf = psf + length * step
+        predicted = [image + length * change for image, change in zip(predicted, moved, strict=True)]
+        if np.abs(step).max() < 1e-3 * psf.max():
+            break
+    return psf
+
+
+def residual_variance(pairs: Sequence[PatchPair], psf: FloatArray) -> float:
+    """Mean square of what ``psf`` leaves unexplained, over the pixels that count."""
+    residual = sum(float((p.weight * (p.blurred - _Operator(p, len(psf)).forward(psf)) ** 2).sum()) for p in pairs)
+    return residual / max(1.0, sum(pair.pixels for pair in pairs))
+
+
+def explained_share(pairs: Sequence[PatchPair], psf: FloatArray) -> float:
+    """Share of the blurred patches' variance that ``psf`` explains, at most 1; negative for a wrong one."""
+    total = sum(float((pair.weight * pair.blurred**2).sum()) for pair in pairs)
+    left = residual_variance(pairs, psf) * sum(pair.pixels for pair in pairs)
+    return 1 - left / total if total > 0 else 0.0
+
+
+def _constrained_step(start: FloatArray, gradient: FloatArray, model: FloatArray) -> FloatArray:
+    """Minimise ``gradient . (k - start) + (k - start) H (k - start) / 2`` over k >= 0 in its frame.
+
+    ``model`` is the spectrum of H on a frame of twice the size. ADMM splits the quadratic, solved exactly there, from
+    the constraint; unlike projected gradients it does not mind that scenes hold so little fine detail.
+    """
+    size = len(start)
+    frame = (2 * size, 2 * size)
+    wide_start, wide_gradient = np.zeros(frame), np.zeros(frame)
+    wide_start[:size, :size], wide_gradient[:size, :size] = start, gradient
+    constant = model * fft.rfft2(wide_start) - fft.rfft2(wide_gradient)
+    rho = _RHO * float(np.exp(np.log(np.maximum(model, 1e-9 * model.max())).mean()))
+    kept, dual = wide_start, np.zeros(frame)
+    for _ in range(_INNER):
+        free = fft.irfft2((constant + rho * fft.rfft2(kept - dual)) / (model + rho), frame)
+        relaxed = 1.6 * free - 0.6 * kept
+        previous, kept = kept, np.zeros(frame)
+        kept[:size, :size] = np.maximum((relaxed + dual)[:size, :size], 0)
+        dual = dual + relaxed - kept
+        if (
+            np.abs(kept - previous).max() < _TOLERANCE * kept.max()
+            and np.abs(free - kept).max() < _TOLERANCE * kept.max()
+        ):
+            break
+    return kept[:size, :size]

@@ -1,0 +1,203 @@
+"""Simulated photographs: blur with real borders, photon and read noise, display gamma."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
+
+from motdiff.trajectory import Trajectory
+
+__all__ = ["add_noise", "blur_symmetric", "blur_valid", "photograph", "to_display", "to_linear", "valid_window"]
+
+FloatArray = NDArray[np.float64]
+
+_SRGB_KNEE_LINEAR, _SRGB_KNEE_DISPLAY = 0.0031308, 0.0031308 * 12.92
+
+
+def valid_window(shape: tuple[int, ...], psf_shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Part of a sharp image, (rows, columns), that :func:`blur_valid` returns blurred.
+
+    Parameters
+    ----------
+    shape : shape of the sharp image, (H, W, ...)
+    psf_shape : (S, S) or (R, C), zero displacement at index ``size // 2``
+
+    Raises
+    ------
+    ValueError
+        If the PSF is larger than the image.
+    """
+    if psf_shape[0] > shape[0] or psf_shape[1] > shape[1]:
+        raise ValueError(f"psf: {psf_shape[1]} x {psf_shape[0]} px does not fit an image of {shape[1]} x {shape[0]} px")
+    rows, columns = (slice(p - 1 - p // 2, n - p // 2) for n, p in zip(shape, psf_shape, strict=False))
+    return rows, columns
+
+
+def blur_valid(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
+    """Blur with real borders: only pixels whose whole light comes from within ``sharp``.
+
+    Parameters
+    ----------
+    sharp : (H, W) or (H, W, C) array_like, linear light
+    psf : (S, S) array_like
+        Zero displacement at index ``S // 2``; true convolution, so a point at p draws the PSF around p.
+
+    Returns
+    -------
+    (H - S + 1, W - S + 1[, C]) float64, the blurred ``sharp[valid_window(sharp.shape, psf.shape)]``.
+
+    Raises
+    ------
+    ValueError
+        If the PSF is not two-dimensional or larger than the image.
+    """
+    image, kernel = _checked(sharp, psf)
+    valid_window(image.shape, kernel.shape)
+    size = tuple(fft.next_fast_len(n, real=True) for n in image.shape[:2])
+    # circular wrap-around stays within the rows and columns that are cut away
+    spectrum = fft.rfft2(kernel, size)
+    if image.ndim == 3:
+        spectrum = spectrum[..., None]
+    blurred = fft.irfft2(fft.rfft2(image, size, axes=(0, 1)) * spectrum, size, axes=(0, 1))
+    rows, columns = kernel.shape
+    return np.ascontiguousarray(blurred[rows - 1 : image.shape[0], columns - 1 : image.shape[1]], dtype=np.float64)
+
+
+def blur_symmetric(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
+    """Blur at full size, the scene mirrored beyond the borders (edge pixel repeated), as the MoTDiff paper's data.
+
+    Parameters
+    ----------
+    sharp : (H, W) or (H, W, C) array_like, linear light
+    psf : (S, S) array_like, zero displacement at index ``S // 2``
+
+    Returns
+    -------
+    float64 of the shape of ``sharp``
+    """
+    image, kernel = _checked(sharp, psf)
+    pads = [(n - 1 - n // 2, n // 2) for n in kernel.shape] + [(0, 0)] * (image.ndim - 2)
+    return blur_valid(np.pad(image, pads, mode="symmetric"), kernel)
+
+
+def add_noise(
+    photo: ArrayLike, rng: np.random.Generator, *, photons_full_scale: float | None = None, read_sigma: float = 0.0
+) -> FloatArray:
+    """Add photon (Poisson) and read (Gaussian) noise; nothing is clipped.
+
+    Parameters
+    ----------
+    photo : array_like, linear light, 1 = full scale
+    rng : numpy.random.Generator
+    photons_full_scale : float, optional
+        Photons that value 1 stands for; no photon noise when omitted.
+    read_sigma : float
+        Standard deviation of the read noise, in units of full scale.
+
+    Raises
+    ------
+    ValueError
+        If a noise parameter is negative, or the photo is where photons are counted.
+    """
+    clean = np.asarray(photo, dtype=np.float64)
+    if not (math.isfinite(read_sigma) and read_sigma >= 0):
+        raise ValueError(f"read_sigma: must be a non-negative number, got {read_sigma}")
+    noisy = clean
+    if photons_full_scale is not None:
+        if not (math.isfinite(photons_full_scale) and photons_full_scale > 0):
+            raise ValueError(f"photons_full_scale: must be a positive number, got {photons_full_scale}")
+        if clean.size and clean.min() < -1e-6:
+            raise ValueError(f"photo: light must be non-negative to count photons, got {clean.min():.3g}")
+        # FFT blurring leaves values of -1e-17 in black areas
+        noisy = rng.poisson(np.maximum(clean, 0) * photons_full_scale) / photons_full_scale
+    if read_sigma > 0:
+        noisy = noisy + read_sigma * rng.standard_normal(clean.shape)
+    return np.array(noisy, dtype=np.float64)
+
+
+def photograph(
+    sharp: ArrayLike,
+    motion: Trajectory | ArrayLike,
+    *,
+    rng: np.random.Generator,
+    photons_full_scale: float | None = None,
+    read_sigma: float = 0.01,
+    bits: int | None = None,
+) -> FloatArray:
+    """Take the photo of ``sharp`` that a moving camera would: blur with real borders, noise, clipping, quantising.
+
+    Parameters
+    ----------
+    sharp : (H, W) or (H, W, C) array_like, linear light 0..1
+    motion : Trajectory or (S, S) PSF
+        A trajectory is drawn in the smallest odd frame that holds it.
+    rng : numpy.random.Generator
+    photons_full_scale, read_sigma : as :func:`add_noise`
+    bits : int, optional
+        Depth of the converter; not quantised when omitted.
+
+    Returns
+    -------
+    (h, w[, C]) float64, 0..1, smaller than ``sharp`` by the PSF's size less 1.
+    """
+    psf = motion.psf(motion.frame_size() | 1) if isinstance(motion, Trajectory) else np.asarray(motion, np.float64)
+    photo = add_noise(blur_valid(sharp, psf), rng, photons_full_scale=photons_full_scale, read_sigma=read_sigma)
+    photo = np.clip(photo, 0, 1)
+    if bits is None:
+        return photo
+    if not 1 <= bits <= 32:
+        raise ValueError(f"bits: must lie within 1..32, got {bits}")
+    levels = 2.0**bits - 1
+    return np.asarray(np.rint(photo * levels) / levels, dtype=np.float64)
+
+
+def to_display(linear: ArrayLike, *, gamma: float | None = None) -> FloatArray:
+    """Encode linear light for display; odd in the value, so noise below 0 survives.
+
+    Parameters
+    ----------
+    linear : array_like, linear light 0..1
+    gamma : float, optional
+        Exponent of a pure power law; the sRGB curve when omitted.
+    """
+    light = np.asarray(linear, dtype=np.float64)
+    size = np.abs(light)
+    if gamma is not None:
+        return np.copysign(size ** (1 / _checked_gamma(gamma)), light)
+    high = 1.055 * np.maximum(size, _SRGB_KNEE_LINEAR) ** (1 / 2.4) - 0.055
+    return np.copysign(np.where(size <= _SRGB_KNEE_LINEAR, 12.92 * size, high), light)
+
+
+def to_linear(display: ArrayLike, *, gamma: float | None = None) -> FloatArray:
+    """Decode display values to linear light: the inverse of :func:`to_display`.
+
+    Parameters
+    ----------
+    display : array_like, 0..1
+    gamma : float, optional
+        Exponent of a pure power law; the sRGB curve when omitted.
+    """
+    value = np.asarray(display, dtype=np.float64)
+    size = np.abs(value)
+    if gamma is not None:
+        return np.copysign(size ** _checked_gamma(gamma), value)
+    high = ((np.maximum(size, _SRGB_KNEE_DISPLAY) + 0.055) / 1.055) ** 2.4
+    return np.copysign(np.where(size <= _SRGB_KNEE_DISPLAY, size / 12.92, high), value)
+
+
+def _checked(sharp: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    image, kernel = np.asarray(sharp, dtype=np.float64), np.asarray(psf, dtype=np.float64)
+    if image.ndim not in (2, 3):
+        raise ValueError(f"sharp: must be (H, W) or (H, W, C), got shape {image.shape}")
+    if kernel.ndim != 2 or kernel.size == 0:
+        raise ValueError(f"psf: must be (S, S), got shape {kernel.shape}")
+    return image, kernel
+
+
+def _checked_gamma(gamma: float) -> float:
+    if not (math.isfinite(gamma) and gamma > 0):
+        raise ValueError(f"gamma: must be a positive number, got {gamma}")
+    return gamma

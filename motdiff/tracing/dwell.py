@@ -1,0 +1,237 @@
+"""Time spent along a known path: non-negative least squares against a PSF or against a blurred photo."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft, linalg, optimize
+
+from motdiff import rasterise
+from motdiff.metrics import register_shift
+from motdiff.trajectory import Trajectory
+
+__all__ = ["checked_psf", "fit_dwell", "fit_dwell_to_photo"]
+
+FloatArray = NDArray[np.float64]
+
+_SPACING_PX = 0.5
+_FLOOR = 1e-3  # least dwell of a piece, as a part of the mean: a Trajectory's time must increase
+_RIDGE = 1e-6
+_ROUNDS = 4  # of dwell and shift in turn
+_MOST_SHIFT_PX = 2.0
+_SHORTEST_PX = 0.05  # a path must lead somewhere, even for a point
+
+
+def fit_dwell(path_px: ArrayLike, psf: ArrayLike, *, smoothness: float = 0.01, extend_px: float = 1.0) -> Trajectory:
+    """Fit the time spent along a path, and its global sub-pixel shift, so that the exact PSF matches ``psf``.
+
+    Parameters
+    ----------
+    path_px : (N, 2) array_like, px
+        Ordered points; zero displacement is the index ``size // 2`` of the PSF.
+    psf : (H, W) array_like
+        Non-negative; any total.
+    smoothness : float
+        Weight of the squared differences of neighbouring dwells, relative to the data's own curvature.
+    extend_px : float, px
+        Both ends are prolonged by this before the fit; what gets no time is cut off again.
+
+    Returns
+    -------
+    Trajectory
+        Of unknown direction.
+
+    Raises
+    ------
+    ValueError
+        If the path is not (N, 2) and finite, or the PSF is not finite, non-negative and with light.
+    """
+    light = checked_psf(psf)
+    size = 2 * (max(light.shape) // 2) + 1
+    target = np.zeros((size, size))
+    row, column = size // 2 - light.shape[0] // 2, size // 2 - light.shape[1] // 2
+    target[row : row + light.shape[0], column : column + light.shape[1]] = light / light.sum()
+    impulse = np.zeros((3, 3))
+    impulse[1, 1] = 1.0
+    return _fit(_nodes(path_px, extend_px), impulse, target, smoothness)
+
+
+def fit_dwell_to_photo(
+    path_px: ArrayLike,
+    photo: ArrayLike,
+    sharp: ArrayLike,
+    *,
+    size: int = 64,
+    smoothness: float = 0.01,
+    extend_px: float = 1.0,
+) -> Trajectory:
+    """Fit the time spent along a path so that ``sharp``, blurred by it, has the gradients of ``photo``.
+
+    Minimises ``|| W (grad photo - grad sharp * psf(w)) ||^2`` over dwells w >= 0, with a window W that keeps the
+    photo's borders out. The normal equations need only correlations of the two pictures, so the cost hardly
+    depends on the size of the photo.
+
+    Parameters
+    ----------
+    path_px : (N, 2) array_like, px
+        Ordered points, in the frame of the PSF that relates the two pictures.
+    photo, sharp : (H, W) or (H, W, 3) array_like, 0..1
+        The blurred photo and an estimate of the sharp scene, pixel on pixel.
+    size : int, px
+        Largest displacement considered is ``size // 2``.
+    smoothness, extend_px : float
+        As :func:`fit_dwell`.
+
+    Raises
+    ------
+    ValueError
+        If the pictures differ in shape, are not finite, are smaller than twice ``size``, or have no gradients.
+    """
+    blurred, latent = (_checked_photo(name, image) for name, image in (("photo", photo), ("sharp", sharp)))
+    if blurred.shape != latent.shape:
+        raise ValueError(f"sharp: shape {latent.shape} differs from photo's {blurred.shape}")
+    if min(blurred.shape[1:]) < 2 * size:
+        raise ValueError(f"photo: must be at least {2 * size} px wide and high for size = {size}")
+    reach = size // 2
+    auto, cross = _gradient_correlations(blurred, latent, reach)
+    if auto.max() <= 0:
+        raise ValueError("sharp: has no gradients (constant image); dwell cannot be fitted")
+    return _fit(_nodes(path_px, extend_px), auto, cross, smoothness)
+
+
+def _fit(nodes: FloatArray, auto: FloatArray, cross: FloatArray, smoothness: float) -> Trajectory:
+    """Minimise ``w' K R K' w - 2 w' K c`` over dwells, and the path's shift, in turn.
+
+    ``auto`` holds R at lags up to its half width, ``cross`` holds c with zero displacement at its middle.
+    """
+    moved = nodes
+    for turn in range(_ROUNDS):
+        pieces, target = _piece_psfs(moved, cross)
+        dwell = _non_negative_fit(pieces, auto, target, smoothness)
+        if turn == _ROUNDS - 1:
+            break
+        drawn = np.tensordot(dwell, pieces, axes=1)
+        shift = np.array(register_shift(target, drawn))
+        if np.abs(shift).max() > _MOST_SHIFT_PX or np.abs(shift).max() < 0.02:
+            break
+        moved = moved + shift
+    return _trajectory(moved, dwell)
+
+
+def _piece_psfs(nodes: FloatArray, cross: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """PSF of each piece between nodes (n, S, S), summing to 1 each, and the target in the same frame.
+
+    The frame just holds the path: what the target has further out no dwell could explain.
+    """
+    half = int(np.ceil(np.abs(nodes).max())) + 1 + int(_MOST_SHIFT_PX)
+    beyond = half - cross.shape[0] // 2
+    target = np.pad(cross, beyond) if beyond >= 0 else cross[-beyond:beyond, -beyond:beyond]
+    size = 2 * half + 1
+    edges = np.linspace(0, 1, len(nodes))
+    return rasterise.slice_psfs(edges, nodes, edges, size) * (len(nodes) - 1), target
+
+
+def _non_negative_fit(pieces: FloatArray, auto: FloatArray, target: FloatArray, smoothness: float) -> FloatArray:
+    count = len(pieces)
+    flat = pieces.reshape(count, -1)
+    gram = flat @ _filtered(pieces, auto).reshape(count, -1).T
+    scale = float(np.trace(gram)) / count
+    differences = np.diff(np.eye(count), axis=0)
+    gram = 0.5 * (gram + gram.T) + scale * (smoothness * differences.T @ differences + _RIDGE * np.eye(count))
+    right = flat @ target.ravel()
+    gram += max(0.0, _RIDGE * scale - float(linalg.eigvalsh(gram, subset_by_index=[0, 0])[0])) * np.eye(count)
+    total = max(float(right.sum() / max(gram.sum(), 1e-30)), 1e-12)  # of the best uniform dwell
+    floor = np.full(count, _FLOOR * total)
+    root = linalg.cholesky(gram)
+    rest = linalg.solve_triangular(root, right - gram @ floor, trans="T")
+    above, _ = optimize.nnls(root, rest, maxiter=100 * count)
+    dwell = floor + above
+    return np.asarray(dwell, dtype=np.float64)
+
+
+def _filtered(pieces: FloatArray, auto: FloatArray) -> FloatArray:
+    if auto.shape == (3, 3):  # an impulse: the data is the PSF itself
+        return pieces
+    size, half = pieces.shape[1], auto.shape[0] // 2
+    side = fft.next_fast_len(size + 2 * half, real=True)
+    kernel = np.zeros((side, side))
+    kernel[: 2 * half + 1, : 2 * half + 1] = auto
+    kernel = np.roll(kernel, (-half, -half), axis=(0, 1))
+    product = fft.rfft2(pieces, (side, side)) * fft.rfft2(kernel)
+    return np.asarray(fft.irfft2(product, (side, side))[:, :size, :size], dtype=np.float64)
+
+
+def _gradient_correlations(blurred: FloatArray, latent: FloatArray, reach: int) -> tuple[FloatArray, FloatArray]:
+    """Windowed autocorrelation of the latent gradients (lags to 2 reach) and their correlation with the photo's."""
+    window = np.outer(*(_taper(n, reach) for n in blurred.shape[1:]))
+    shape = [fft.next_fast_len(n + 2 * reach, real=True) for n in blurred.shape[1:]]
+    auto, cross = np.zeros((4 * reach + 1, 4 * reach + 1)), np.zeros((2 * reach + 1, 2 * reach + 1))
+    for axis in (1, 2):
+        for photo, scene in zip(np.gradient(blurred, axis=axis), np.gradient(latent, axis=axis), strict=True):
+            spectrum = np.conj(fft.rfft2(scene, shape))
+            for out, image in ((auto, window * scene), (cross, window * photo)):
+                full = fft.irfft2(fft.rfft2(image, shape) * spectrum, shape)
+                half = out.shape[0] // 2
+                out += np.roll(full, (half, half), axis=(0, 1))[: 2 * half + 1, : 2 * half + 1]
+    return 0.5 * (auto + auto[::-1, ::-1]), cross
+
+
+def _taper(size: int, margin: int) -> FloatArray:
+    """Window of one axis: zero within ``margin`` of the border, then a smooth rise as wide."""
+    distance = np.minimum(np.arange(size), np.arange(size)[::-1]) + 0.5
+    rise = np.clip((distance - margin) / max(1.0, min(margin, size / 2 - margin)), 0, 1)
+    return np.asarray(np.sin(0.5 * np.pi * rise) ** 2, dtype=np.float64)
+
+
+def _nodes(path_px: ArrayLike, extend_px: float) -> FloatArray:
+    path = np.asarray(path_px, dtype=np.float64)
+    if path.ndim != 2 or path.shape[1:] != (2,) or not len(path) or not np.isfinite(path).all():
+        raise ValueError(f"path_px: must be finite (N, 2) points with N >= 1, got shape {path.shape}")
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    path = path[np.r_[True, steps > 1e-9]]
+    if len(path) < 2 or steps.sum() < _SHORTEST_PX:
+        half = np.array([0.5 * _SHORTEST_PX, 0.0])
+        path = np.array([path[0] - half, path[0] + half])
+    arc = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
+    if extend_px > 0:
+        # the direction at an end, from the last pixel or so
+        ends = [_at(arc, path, s) for s in (min(1.0, arc[-1]), max(arc[-1] - 1.0, 0.0))]
+        before, after = path[0] - ends[0], path[-1] - ends[1]
+        path = np.concatenate(
+            [
+                (path[0] + extend_px * before / np.linalg.norm(before))[None],
+                path,
+                (path[-1] + extend_px * after / np.linalg.norm(after))[None],
+            ]
+        )
+        arc = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
+    count = int(np.ceil(arc[-1] / _SPACING_PX)) + 1
+    return _at(arc, path, np.linspace(0, arc[-1], max(count, 2)))
+
+
+def _at(arc: FloatArray, path: FloatArray, where: float | FloatArray) -> FloatArray:
+    return np.stack([np.interp(where, arc, path[:, axis]) for axis in (0, 1)], axis=-1)
+
+
+def _trajectory(nodes: FloatArray, dwell: FloatArray) -> Trajectory:
+    """Cut the ends that got no time, and make a Trajectory of the rest."""
+    busy = np.flatnonzero(dwell > 2 * dwell.min() + 1e-3 * dwell.mean())
+    if busy.size:
+        nodes, dwell = nodes[busy[0] : busy[-1] + 2], dwell[busy[0] : busy[-1] + 1]
+    return Trajectory.from_samples(nodes, t=np.r_[0.0, np.cumsum(dwell)])
+
+
+def checked_psf(psf: ArrayLike) -> FloatArray:
+    """Return a PSF as float64, or raise ValueError if it is not finite, non-negative, (H, W) and with light."""
+    light = np.asarray(psf, dtype=np.float64)
+    if light.ndim != 2 or not np.isfinite(light).all() or light.min(initial=0.0) < 0 or light.sum() <= 0:
+        raise ValueError(f"psf: must be a finite, non-negative (H, W) array with some light, got shape {light.shape}")
+    return light
+
+
+def _checked_photo(name: str, image: ArrayLike) -> FloatArray:
+    """Channels first."""
+    values = np.asarray(image, dtype=np.float64)
+    if values.ndim not in (2, 3) or not values.size or not np.isfinite(values).all():
+        raise ValueError(f"{name}: must be a finite (H, W) or (H, W, 3) image, got shape {values.shape}")
+    return values[None] if values.ndim == 2 else np.moveaxis(values, 2, 0)

@@ -1,0 +1,136 @@
+"""Ordered paths from HR maps and from grey PSFs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from motdiff.tracing.dwell import checked_psf, fit_dwell
+from motdiff.tracing.graph import BranchGraph, branch_graph, drawn_pixels
+from motdiff.tracing.trail import smoothest_trail
+from motdiff.trajectory import Trajectory
+
+__all__ = ["trace_map", "trace_psf", "trace_psf_to_trajectory"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_MAP_CENTRE, _MAP_PITCH = 129.5, 4
+_MARGIN_PX = 3
+_RIDGE_PX = 0.4  # scale of the ridge filter, on top of the 0.6 px of the spline that interpolates
+_SPUR_PX, _NOISY_SPUR_PX = 7.0, 12.0  # fine pixels: what a skeleton grows at blobs
+_NOISE_MEDIANS = 8.0  # ridges this far above the median response are no noise
+_WEAK_PART, _STRONG_PART = 0.015, 0.08  # hysteresis, as parts of the strongest ridge
+_LOCAL_PART, _LOCAL_PX = 0.1, 1.5  # fainter crests so near a strong one are its side lobes
+_PSF_GAP_PX = 14.0  # fine pixels: fast stretches sink into noise
+_DUST_PART = 0.04  # parts with less ridge than this part of the largest are dust
+_STAIR_PX = 1.0  # map pixels: a Gaussian this wide takes the pixel stairs off a traced line
+
+
+def trace_map(hr_map: ArrayLike) -> FloatArray:
+    """Trace the ordered path that an HR map draws, straight through crossings.
+
+    Parameters
+    ----------
+    hr_map : (256, 256) array_like, binary or soft (0..1 or any non-negative scale)
+        Displacement d px at index ``129.5 + 4 d``. Gaps of up to 1.5 px are bridged, dust is dropped.
+
+    Returns
+    -------
+    (N, 2) float, px
+        About four points per pixel of length; which end comes first means nothing.
+
+    Raises
+    ------
+    ValueError
+        If the map is not finite, non-negative and (256, 256), or empty.
+
+    Notes
+    -----
+    Where strands share pixels, a binary map does not say how often or in which pairing; the smoothest curve is taken.
+    """
+    soft = np.asarray(hr_map)
+    if soft.shape != (256, 256):
+        raise ValueError(f"hr_map: must be (256, 256), got shape {soft.shape}")
+    return _traced(branch_graph(drawn_pixels(soft)), _MAP_CENTRE)
+
+
+def trace_psf(psf: ArrayLike) -> FloatArray:
+    """Trace the ordered path under a grey PSF: its ridges at a quarter of a pixel, joined as in :func:`trace_map`.
+
+    Parameters
+    ----------
+    psf : (H, W) array_like
+        Non-negative, with zero displacement at index ``size // 2``; may be thick, speckled or noisy.
+
+    Returns
+    -------
+    (N, 2) float, px
+
+    Raises
+    ------
+    ValueError
+        If the PSF is not finite and non-negative, or has no light.
+    """
+    light = checked_psf(psf)
+    drawn, spur_px = _ridges(light)
+    centre = _MAP_PITCH * np.array([light.shape[1] // 2, light.shape[0] // 2]) + _MAP_PITCH * _MARGIN_PX
+    return _traced(branch_graph(drawn, gap_px=_PSF_GAP_PX, spur_px=spur_px), centre)
+
+
+def trace_psf_to_trajectory(psf: ArrayLike) -> Trajectory:
+    """Turn a PSF into a trajectory: :func:`trace_psf`, then :func:`motdiff.tracing.fit_dwell`.
+
+    Parameters
+    ----------
+    psf : (H, W) array_like
+        As :func:`trace_psf`.
+    """
+    return fit_dwell(trace_psf(psf), psf)
+
+
+def _ridges(light: FloatArray) -> tuple[BoolArray, float]:
+    """Mark the crests of the ridges on a padded grid of pitch 1/4 px; also the length of spurs to expect, fine pixels.
+
+    A crest is a local maximum across the ridge, so that a fast, faint stretch next to a slow, bright one is found.
+    """
+    padded = np.pad(light / light.max(), _MARGIN_PX)
+    grid = np.meshgrid(*(np.arange(_MAP_PITCH * (n - 1) + 1) / _MAP_PITCH for n in padded.shape), indexing="ij")
+    fine = ndimage.map_coordinates(padded, grid, order=3, prefilter=False)  # a smoothing spline: no overshoot
+    sigma = _RIDGE_PX * _MAP_PITCH
+    yy, xx, xy = (ndimage.gaussian_filter(fine, sigma, order=order) for order in ((2, 0), (0, 2), (1, 1)))
+    ridge = np.maximum(0.5 * (np.hypot(xx - yy, 2 * xy) - xx - yy), 0.0)
+    noise = _NOISE_MEDIANS * float(np.median(ridge))
+    spur_px = _SPUR_PX if noise < _WEAK_PART * float(ridge.max()) else _NOISY_SPUR_PX
+    across = 0.5 * np.arctan2(2 * xy, xx - yy) + 0.5 * np.pi  # direction of the most negative curvature
+    index = np.indices(ridge.shape).astype(np.float64)
+    step = np.stack([np.sin(across), np.cos(across)])
+    beside = np.maximum(*(ndimage.map_coordinates(ridge, index + way * step, order=1) for way in (-1, 1)))
+    weak = max(_WEAK_PART * float(ridge.max()), noise)
+    strong = max(_STRONG_PART * float(ridge.max()), 1.7 * weak)
+    near = ndimage.maximum_filter(ridge, int(2 * _LOCAL_PX * _MAP_PITCH) + 1)
+    crest = (ridge >= beside) & (ridge >= np.maximum(weak, _LOCAL_PART * near))
+    crest = ndimage.binary_dilation(crest, structure=np.ones((3, 3)))
+    labels, count = ndimage.label(crest, structure=np.ones((3, 3)))
+    if not count:
+        return np.asarray(fine >= fine.max(), dtype=bool), 0.0
+    numbers = np.arange(count + 1)
+    mass = ndimage.sum_labels(ridge, labels, numbers)
+    kept = (mass >= _DUST_PART * mass[1:].max()) & (ndimage.maximum(ridge, labels, numbers) >= min(strong, ridge.max()))
+    kept[0] = False
+    return np.asarray(kept[labels], dtype=bool), spur_px
+
+
+def _traced(graph: BranchGraph, centre: float | FloatArray) -> FloatArray:
+    return (_without_stairs(smoothest_trail(graph)) - centre) / _MAP_PITCH
+
+
+def _without_stairs(points: FloatArray) -> FloatArray:
+    """Smooth a pixel polyline along its length; its two ends stay."""
+    if len(points) < 3:
+        return points
+    ends = 2 * points[[0, -1]]
+    pad = min(6, len(points) - 1)
+    mirrored = np.concatenate([ends[0] - points[pad:0:-1], points, ends[1] - points[-2 : -pad - 2 : -1]])
+    return np.asarray(ndimage.gaussian_filter1d(mirrored, _STAIR_PX, axis=0)[pad:-pad], dtype=np.float64)

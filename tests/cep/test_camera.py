@@ -1,0 +1,160 @@
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cep.camera import SCHEMA, Camera, capture, visible
+from motdiff.trajectory import Trajectory
+
+SILENT = Camera(photons_full_scale=1e9, read_noise_e=0.0, bits=16)
+
+
+@pytest.mark.parametrize("light", [0.02, 0.3, 0.8])
+@pytest.mark.parametrize("response", ["linear", "srgb"])
+def test_mean_and_variance_of_many_pixels(light, response):
+    camera = Camera(photons_full_scale=2000.0, read_noise_e=10.0, bits=10, response=response)
+    pixels = camera.expose(np.full(40_000, light), rng=np.random.default_rng(1))
+    variance = float(camera.noise_variance(light))
+    # standard errors: sqrt(v / n) of the mean, v sqrt(2 / n) of the variance; 5 of them, plus 1/4 % for the curve
+    assert abs(pixels.mean() - light) < 5 * math.sqrt(variance / pixels.size) + 0.0025 * light
+    assert abs(pixels.var() / variance - 1) < 5 * math.sqrt(2 / pixels.size) + 0.01
+
+
+def test_shot_noise_is_mean_over_gain_and_adds_to_read_noise():
+    camera = Camera(photons_full_scale=500.0, read_noise_e=7.0, bits=16)
+    step = 1 / (2**16 - 1)
+    np.testing.assert_allclose(
+        camera.noise_variance([0.0, 0.5, 1.0]), [49 / 500**2 + step**2 / 12 + s / 500 for s in (0, 0.5, 1)], rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("bits", [1, 3, 8])
+def test_linear_code_values(bits):
+    values = np.unique(Camera(bits=bits).quantise(np.linspace(-0.5, 1.5, 5000)))
+    np.testing.assert_allclose(values, np.arange(2**bits) / (2**bits - 1), atol=1e-15)
+
+
+def test_srgb_codes_are_finer_in_the_dark():
+    values = np.unique(Camera(bits=8, response="srgb").quantise(np.linspace(0, 1, 200_000)))
+    assert values.size == 256
+    assert values[1] == pytest.approx(1 / 255 / 12.92)
+    assert np.ptp(values[[-2, -1]]) > 10 * values[1]
+
+
+def test_black_level_keeps_dark_photos_unbiased():
+    dark = np.zeros(20_000)
+    with_pedestal = Camera(100.0, 5.0, black_level=0.3).expose(dark, rng=np.random.default_rng(0))
+    without = Camera(100.0, 5.0).expose(dark, rng=np.random.default_rng(0))
+    assert abs(with_pedestal.mean()) < 5 * 0.05 / math.sqrt(dark.size)
+    assert without.mean() == pytest.approx(0.05 / math.sqrt(2 * math.pi), rel=0.05)  # half a Gaussian
+    assert with_pedestal.min() < 0 <= without.min()
+
+
+@given(st.floats(0, 1), st.integers(1, 16), st.sampled_from(["linear", "srgb"]))
+def test_quantising_twice_changes_nothing(light, bits, response):
+    camera = Camera(bits=bits, response=response)
+    once = camera.quantise(light)
+    np.testing.assert_allclose(camera.quantise(once), once, atol=1e-12)
+
+
+def test_capture_is_darker_by_the_duty_and_shows_the_visible_part():
+    scene = np.random.default_rng(0).uniform(0.2, 0.9, (80, 90))
+    psf = np.zeros((32, 32))
+    psf[16 + 3, 16 - 5] = 0.4  # a still camera, 3 px down and 5 px left, open for 40 % of the time
+    photo = capture(scene, psf, SILENT, rng=np.random.default_rng(0))
+    assert photo.shape == (80 - 31, 90 - 31)
+    shifted = np.roll(scene, (3, -5), axis=(0, 1))
+    np.testing.assert_allclose(photo, 0.4 * visible(shifted, 32), atol=2e-4)
+
+
+def test_capture_of_a_flat_colour_scene_has_no_border_effect():
+    scene = np.ones((70, 72, 3)) * np.array([0.1, 0.5, 0.8])
+    photo = capture(scene, 0.5 * Trajectory.straight(12.0).psf(33), SILENT, rng=np.random.default_rng(0))
+    assert photo.shape == (38, 40, 3)
+    np.testing.assert_allclose(photo, np.broadcast_to([0.05, 0.25, 0.4], photo.shape), atol=3e-4)
+
+
+def test_bright_scene_clips_at_full_scale():
+    photo = capture(np.full((9, 9), 3.0), np.ones((1, 1)), Camera(), rng=np.random.default_rng(0))
+    assert (photo == 1.0).all()
+
+
+def test_same_seed_same_photo():
+    scene = np.random.default_rng(0).random((40, 40))
+    first, second = (capture(scene, np.ones((1, 1)), Camera(), rng=np.random.default_rng(7)) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("name", ["camera.json", "camera.toml"])
+def test_file_round_trip(tmp_path, name):
+    camera = Camera(photons_full_scale=1234.5, read_noise_e=0.5, bits=10, response="srgb")
+    camera.to_file(tmp_path / name)
+    assert Camera.from_file(tmp_path / name) == camera
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+def test_hand_written_file_may_be_short(tmp_path):
+    (tmp_path / "c.toml").write_text("bits = 8\nphotons_full_scale = 300\n")
+    assert Camera.from_file(tmp_path / "c.toml") == Camera(photons_full_scale=300.0, bits=8)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("c.yaml", "bits: 8", "must end in .json or .toml"),
+        ("c.json", "{", "not a JSON file"),
+        ("c.toml", "bits = ", "not a TOML file"),
+        ("c.json", "[1]", "found list"),
+        ("c.json", json.dumps({"schema": "cep.camera/9"}), f'wanted schema "{SCHEMA}"'),
+        ("c.json", json.dumps({"iso": 100}), "unknown field 'iso'"),
+        ("c.json", json.dumps({"bits": 8.5}), "bits: must be a whole number"),
+        ("c.json", json.dumps({"photons_full_scale": "many"}), "photons_full_scale: must be a number"),
+        ("c.json", '{"read_noise_e": NaN}', "read_noise_e: must be 0 or more"),
+    ],
+)
+def test_bad_file_says_one_line_with_its_name(tmp_path, name, text, said):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(ValueError, match="c\\.") as caught:
+        Camera.from_file(path)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"photons_full_scale": 0},
+        {"photons_full_scale": float("inf")},
+        {"read_noise_e": -1},
+        {"bits": 0},
+        {"bits": 17},
+        {"bits": True},
+        {"response": "gamma"},
+        {"black_level": -0.1},
+        {"read_noise_e": None},
+    ],
+)
+def test_bad_camera(fields):
+    with pytest.raises(ValueError, match=next(iter(fields))):
+        Camera(**fields)
+
+
+@pytest.mark.parametrize(
+    ("scene", "psf", "said"),
+    [
+        (np.ones(5), np.ones((1, 1)), "scene"),
+        (np.full((9, 9), np.nan), np.ones((1, 1)), "scene"),
+        (-np.ones((9, 9)), np.ones((1, 1)), "scene"),
+        (np.ones((9, 9)), -np.ones((3, 3)), "psf"),
+        (np.ones((9, 9)), np.ones(3), "psf"),
+        (np.ones((9, 9)), np.ones((16, 16)) / 256, "scene"),
+    ],
+)
+def test_bad_capture(scene, psf, said):
+    with pytest.raises(ValueError, match=said):
+        capture(scene, psf, Camera(), rng=np.random.default_rng(0))

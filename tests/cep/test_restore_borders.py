@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+from scipy import fft
+from skimage import data
+
+from cep.restore.borders import extended_shape, membrane_extension, reblurred_extension
+from cep.restore.noise import fit_spectrum
+from cep.restore.spectral import power_law
+from motdiff.simulate import blur_valid
+from motdiff.trajectory import Trajectory
+
+
+@pytest.fixture(scope="module")
+def photo():
+    return ((data.camera() / 255.0) ** 2.2)[100:180, 90:190]
+
+
+@pytest.mark.parametrize("psf_size", [1, 17, 41])
+def test_extended_shape_leaves_a_gap_and_suits_the_fft(psf_size):
+    shape = extended_shape((97, 210), psf_size)
+    for side, size in zip((97, 210), shape, strict=True):
+        assert size - side >= psf_size - 1
+        assert fft.next_fast_len(size, real=True) == size
+
+
+def test_membrane_keeps_the_photo_and_is_harmonic_in_each_tile(photo):
+    height, width = photo.shape
+    extended = membrane_extension(photo, (100, 120))
+    np.testing.assert_array_equal(extended[:height, :width], photo)
+    laplacian = sum(np.roll(extended, s, a) for s, a in ((1, 0), (-1, 0), (1, 1), (-1, 1))) - 4 * extended
+    for rows, columns in (
+        (slice(height, None), slice(1, width - 1)),
+        (slice(1, height - 1), slice(width, None)),
+        (slice(height, None), slice(width, None)),
+    ):
+        assert np.abs(laplacian[rows, columns]).max() < 1e-9
+    assert photo.min() <= extended.min()
+    assert extended.max() <= photo.max()
+
+
+def test_membrane_steps_across_the_seam_are_as_small_as_inside(photo):
+    extended = membrane_extension(photo, (100, 120))
+    around = np.abs(extended[0] - extended[-1]).mean(), np.abs(extended[:, 0] - extended[:, -1]).mean()
+    naive = np.abs(photo[0] - photo[-1]).mean(), np.abs(photo[:, 0] - photo[:, -1]).mean()
+    assert max(around) < 0.3 * min(naive)
+
+
+def test_no_gap_changes_nothing(photo):
+    np.testing.assert_array_equal(membrane_extension(photo, photo.shape), photo)
+
+
+def test_reblurred_extension_solves_the_masked_least_squares():
+    # small enough for the dense normal equations
+    rng = np.random.default_rng(0)
+    photo, shape, ratio = rng.random((7, 8)), (11, 12), 0.3
+    psf = np.outer([0.2, 0.5, 0.1], [0.3, 0.6, 0.2])
+    size = shape[0] * shape[1]
+    blur = np.zeros((size, size))
+    for column, unit in enumerate(np.eye(size)):
+        image = unit.reshape(shape)
+        for i in range(3):
+            for j in range(3):
+                blur[:, column] += psf[i, j] * np.roll(image, (i - 1, j - 1), (0, 1)).ravel()
+    seen = np.zeros(shape, bool)
+    seen[:7, :8] = True
+    law = ratio * power_law(shape)
+    prior = np.stack([fft.irfft2(law * fft.rfft2(u.reshape(shape)), shape).ravel() for u in np.eye(size)])
+    observed = blur[seen.ravel()]
+    scene = np.linalg.solve(observed.T @ observed + prior, observed.T @ photo.ravel())
+    expected = (blur @ scene).reshape(shape)
+    got = reblurred_extension(photo, psf, shape, noise_to_scene=ratio, rounds=200)
+    np.testing.assert_array_equal(got[:7, :8], photo)
+    np.testing.assert_allclose(got[~seen], expected[~seen], atol=1e-6)
+
+
+@pytest.mark.parametrize("sigma", [0.003, 0.02])
+def test_noise_and_scene_strength_are_found_in_a_blurred_photo(sigma):
+    scene = ((data.camera() / 255.0) ** 2.2)[:300, :300]
+    psf = Trajectory.straight(11.0, angle_rad=0.4).psf(21)
+    noisy = blur_valid(scene, psf) + sigma * np.random.default_rng(0).standard_normal((280, 280))
+    found = fit_spectrum(noisy, psf)
+    assert np.sqrt(found.noise) == pytest.approx(sigma, rel=0.1)
+    known = fit_spectrum(noisy, psf, noise_variance=sigma**2)
+    assert known.noise == sigma**2
+    assert known.scene == pytest.approx(found.scene, rel=0.2)
+    brighter = fit_spectrum(3 * noisy, psf)
+    assert brighter.scene == pytest.approx(9 * found.scene, rel=0.02)
+
+
+def test_dark_photo_has_a_spectrum_too():
+    assert fit_spectrum(np.zeros((20, 20)), np.ones((1, 1))).noise == 0.0
