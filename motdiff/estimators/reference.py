@@ -26,7 +26,7 @@ _RIM_PX = int(3 * _HIGH_PASS_PX)  # the high-passed photo is not trusted this cl
 _SPLINE_MARGIN_PX = 8
 _LEAST_CROP_PX = 32
 _LAMP_REACH = 0.005  # share of a lamp's light that spoils a pixel
-_CHANNEL_SLACK = 0.005
+_CHANNEL_CLIPPED = 0.1  # a channel with this share of clipped pixels is worth nothing beside others
 _LOST = 0.6
 
 
@@ -232,11 +232,12 @@ class _Photo:
 
 
 def _clean_channels(sharp: ArrayLike, photo: ArrayLike) -> tuple[tuple[str, FloatArray], tuple[str, FloatArray]]:
-    """Keep the colour channels with the fewest clipped pixels: a red sky may still be measured in green."""
+    """Leave out colour channels that are clipped more than others and not much richer in texture."""
     a, b = np.asarray(sharp, dtype=np.float64), np.asarray(photo, dtype=np.float64)
     if a.ndim == b.ndim == 3 and a.shape[2] == b.shape[2] and a.size and b.size:
         share = np.maximum(*((image >= crops.CLIPPED_LEVEL).mean(axis=(0, 1)) for image in (a, b)))
-        kept = share <= share.min() + _CHANNEL_SLACK
+        worth = np.abs(np.diff(b, axis=1)).mean(axis=(0, 1)) * np.maximum(1 - share / _CHANNEL_CLIPPED, 0)
+        kept = worth >= 0.5 * worth.max()
         a, b = a[..., kept], b[..., kept]
     return ("sharp", a), ("photo", b)
 

@@ -1,0 +1,78 @@
+"""The gyro estimator against the path that its readings were taken from."""
+
+import json
+
+import numpy as np
+import pytest
+
+from motdiff.estimators.gyro import GyroEstimator
+from motdiff.gyro import GyroTrace, trajectory_from_gyro
+from motdiff.metrics import mnc_subpixel, path_distance_px
+
+FOCAL_PX = 3000.0
+
+
+def shake(seed: int, *, duration_s: float = 2.0, rate_hz: float = 4000.0) -> GyroTrace:
+    """Sums of sines of 1 to 12 Hz, about 0.1 rad/s."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(duration_s * rate_hz)) / rate_hz
+    freq, phase = rng.uniform(1, 12, (12, 3)), rng.uniform(0, 2 * np.pi, (12, 3))
+    strength = np.exp(-freq / 5)
+    rate = (strength * np.sin(2 * np.pi * freq * t[:, None, None] + phase)).sum(axis=1)
+    rate = 0.1 * rate / rate.std(axis=0)
+    rate[:, 2] *= 0.02
+    return GyroTrace(t, rate)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("noise_rad_s", [0.0, 0.001])
+def test_psf_from_readings_at_200_hz(seed: int, noise_rad_s: float) -> None:
+    exact = shake(seed)
+    window = {"focal_px": FOCAL_PX, "start_s": 0.4 + 0.0013 * seed, "exposure_s": 0.15}
+    path = trajectory_from_gyro(exact, **window)
+    rng = np.random.default_rng(seed)
+    noisy = exact.rate_rad_s[::20] + noise_rad_s * rng.standard_normal((len(exact.t_s[::20]), 3))
+    estimate = GyroEstimator(GyroTrace(exact.t_s[::20], noisy), **window).estimate(np.zeros((600, 800)))
+    frame = max(64, path.frame_size())
+    assert mnc_subpixel(estimate.psf, path.psf(frame)) >= 0.99
+    found = estimate.trajectories[0]
+    assert found.direction == "known"
+    assert path_distance_px(found, path) < 0.5
+    # direction and dwell too: the same place at the same time
+    t = np.linspace(0, 1, 50)
+    assert np.abs(found.at(t) - path.at(t)).max() < 0.03 * path.extent_px + 0.3
+    assert estimate.confidence > 0.5
+    json.dumps(estimate.details, allow_nan=False)
+
+
+def test_roll_lowers_the_confidence_and_is_told() -> None:
+    calm = shake(0)
+    rolling = GyroTrace(calm.t_s, calm.rate_rad_s + np.array([0, 0, 0.2]))
+    window = {"focal_px": FOCAL_PX, "start_s": 0.4, "exposure_s": 0.1}
+    photo = np.zeros((3000, 4000))
+    estimate = GyroEstimator(rolling, **window).estimate(photo)
+    assert any("Roll" in warning for warning in estimate.warnings)
+    assert estimate.details["roll_at_corner_px"] == pytest.approx(50, rel=0.1)  # 0.02 rad at 2500 px
+    small = GyroEstimator(rolling, **window).estimate(photo[:100, :100])
+    assert small.confidence > estimate.confidence
+    np.testing.assert_array_equal(small.psf, estimate.psf)
+
+
+def test_sparse_readings_and_long_paths_are_told() -> None:
+    trace = shake(1)
+    slow = GyroTrace(trace.t_s[::400], trace.rate_rad_s[::400])  # 10 Hz
+    estimate = GyroEstimator(slow, focal_px=100, start_s=0.41, exposure_s=0.05).estimate(np.zeros((9, 9)))
+    assert any("gyro readings" in warning for warning in estimate.warnings)
+    assert estimate.confidence == 0
+    far = GyroEstimator(trace, focal_px=30_000, start_s=0.3, exposure_s=0.3).estimate(np.zeros((9, 9)))
+    assert any("PSF frame" in warning for warning in far.warnings)
+    assert far.psf.sum() == pytest.approx(1)
+    assert len(far.psf) == far.trajectories[0].frame_size() > 64
+
+
+def test_errors_pass_through() -> None:
+    trace = shake(0)
+    with pytest.raises(ValueError, match="within the trace"):
+        GyroEstimator(trace, focal_px=100, start_s=1.95, exposure_s=0.1).estimate(np.zeros((9, 9)))
+    with pytest.raises(ValueError, match="photo"):
+        GyroEstimator(trace, focal_px=100, start_s=0.5, exposure_s=0.1).estimate(np.zeros(9))

@@ -1,0 +1,124 @@
+"""Trajectory files: exact round trips, and one clear line for every bad one."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motdiff.files import SCHEMA, StoredMotion, read_motion, write_motion, write_text_atomically
+from motdiff.motions import boracchi_foi, quadratic
+from motdiff.trajectory import Trajectory
+
+
+def document(**changes: object) -> dict[str, object]:
+    base: dict[str, object] = {
+        "schema": SCHEMA,
+        "units": "px",
+        "direction": "unknown",
+        "t": [0, 0.25, 1],
+        "x": [0.0, 1.0, 4.0],
+        "y": [0.0, 2.0, -1.0],
+        "weight": 1.0,
+        "alternatives": [],
+        "source": {},
+    }
+    return {key: value for key, value in {**base, **changes}.items() if value is not ...}
+
+
+@given(seed=st.integers(0, 2**31), weight=st.floats(0, 1))
+@settings(max_examples=15, deadline=None)
+def test_round_trip(tmp_path_factory: pytest.TempPathFactory, seed: int, weight: float) -> None:
+    rng = np.random.default_rng(seed)
+    motion = StoredMotion(
+        quadratic(rng), weight, ((1 - weight, boracchi_foi(rng, samples=50)),), {"method": "test", "seed": seed}
+    )
+    path = tmp_path_factory.mktemp("motion") / "trajectory.json"
+    write_motion(path, motion)
+    back = read_motion(path)
+    for was, now in zip(
+        [motion.trajectory, motion.alternatives[0][1]], [back.trajectory, back.alternatives[0][1]], strict=True
+    ):
+        np.testing.assert_array_equal(now.t, was.t)
+        np.testing.assert_allclose(now.xy, was.xy, atol=1e-12)
+    assert back.trajectory.direction == motion.trajectory.direction == "known"
+    assert back.weight == motion.weight
+    assert back.alternatives[0][0] == motion.alternatives[0][0]
+    assert back.source == motion.source
+
+
+def test_a_path_off_centre_is_centred_on_reading(tmp_path: Path) -> None:
+    path = tmp_path / "t.json"
+    path.write_text(json.dumps(document()))
+    motion = read_motion(path).trajectory
+    expected = Trajectory.from_samples([[0, 0], [1, 2], [4, -1]], t=[0, 0.25, 1])
+    np.testing.assert_allclose(motion.xy, expected.xy)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"schema": "cep.trajectory/9"}, "wanted schema"),
+        ({"schema": ...}, "wanted schema"),
+        ({"units": "mm"}, "units"),
+        ({"direction": "left"}, "direction"),
+        ({"t": [0, 0.5, 0.5], "x": [0, 1, 2], "y": [0, 1, 2]}, "strictly increasing"),
+        ({"t": [0, 2, 1]}, "strictly increasing"),
+        ({"t": [1, 0.5, 0]}, "strictly increasing"),
+        ({"t": [0, 0.5, 2]}, "from 0 to 1"),
+        ({"t": [0.1, 0.5, 1]}, "from 0 to 1"),
+        ({"t": [0], "x": [0], "y": [0]}, "at least 2 samples"),
+        ({"t": [], "x": [], "y": []}, "at least 2 samples"),
+        ({"x": [0, float("nan"), 1]}, "finite"),
+        ({"t": [0, float("nan"), 1]}, "finite"),
+        ({"y": [0, float("inf"), 1]}, "finite"),
+        ({"x": [0, 1]}, "equally long"),
+        ({"x": [0, "one", 2]}, "one"),
+        ({"x": None}, "NoneType"),
+        ({"y": ...}, "'y' is missing"),
+        ({"weight": 3}, "weight"),
+        ({"weight": "heavy"}, "heavy"),
+        ({"alternatives": [{"weight": 0.5}]}, "missing"),
+        ({"alternatives": [3]}, "t.json"),
+    ],
+)
+def test_bad_documents(tmp_path: Path, changes: dict[str, object], said: str) -> None:
+    path = tmp_path / "t.json"
+    path.write_text(json.dumps(document(**changes)))
+    with pytest.raises(ValueError, match=said) as caught:
+        read_motion(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b'{"schema": "cep.traj', b"\xff\xd8\xff\xe0JFIF", b"[1, 2]", b"3"])
+def test_files_that_are_no_such_json(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "t.json"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"t\.json") as caught:
+        read_motion(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        read_motion(tmp_path / "nowhere.json")
+
+
+def test_writing_leaves_the_old_file_when_it_fails(tmp_path: Path) -> None:
+    path = tmp_path / "t.json"
+    write_text_atomically(path, "old")
+    with pytest.raises(UnicodeEncodeError):
+        write_text_atomically(path, "half \ud800")
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["t.json"]
+    with pytest.raises(FileNotFoundError):
+        write_text_atomically(tmp_path / "no" / "t.json", "text")
+
+
+def test_source_must_be_json(tmp_path: Path) -> None:
+    with pytest.raises(TypeError):
+        write_motion(tmp_path / "t.json", StoredMotion(Trajectory.straight(3.0), source={"bad": object()}))
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,119 @@
+"""Invariances of the metrics, and cases with known answers."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from motdiff.metrics import mnc, mnc_subpixel, path_distance_px, psnr_up_to_shift, register_shift, ssim_up_to_shift
+from motdiff.motions import boracchi_foi
+from motdiff.trajectory import Trajectory
+
+
+def kernel(seed: int, size: int = 48) -> np.ndarray:
+    return boracchi_foi(np.random.default_rng(seed), max_length_px=30.0).psf(size)
+
+
+def scene(seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    image = ndimage.gaussian_filter(rng.standard_normal((90, 110)), 2)
+    return (image - image.min()) / np.ptp(image)
+
+
+seeds = st.integers(0, 10_000)
+
+
+@given(seed=seeds, scale=st.floats(1e-3, 1e3), dy=st.integers(-5, 5), dx=st.integers(-5, 5))
+@settings(max_examples=20, deadline=None)
+def test_mnc_ignores_shift_scale_and_frame(seed: int, scale: float, dy: int, dx: int) -> None:
+    a, b = kernel(seed), kernel(seed + 1)
+    moved = scale * np.roll(np.pad(b, 6), (dy, dx), axis=(0, 1))
+    for measure, tolerance in ((mnc, 1e-9), (mnc_subpixel, 2e-3)):  # the sub-pixel grid is finite
+        assert measure(a, moved) == pytest.approx(measure(a, b), abs=tolerance)
+        assert measure(a, b) == pytest.approx(measure(b, a), abs=tolerance)
+        assert 0 <= measure(a, b) <= 1
+        assert measure(a, a) == pytest.approx(1, abs=1e-9)
+
+
+def test_mnc_of_small_kernels_by_hand() -> None:
+    assert mnc([[1.0, 0.0]], [[1.0, 1.0]]) == pytest.approx(1 / np.sqrt(2))
+    assert mnc([[3.0, 4.0]], [[4.0, 3.0]]) == pytest.approx(24 / 25)
+
+
+def test_mnc_sees_rotation() -> None:
+    lopsided = np.zeros((9, 9))
+    lopsided[4, 2:8] = [6, 5, 4, 3, 2, 1]
+    assert mnc(lopsided, lopsided[::-1, ::-1]) < 0.9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_subpixel_mnc_forgives_half_a_pixel_and_integer_mnc_does_not(seed: int) -> None:
+    # band-limited, as the interpolation assumes
+    smooth = np.pad(ndimage.gaussian_filter(kernel(seed), 1.0), 8)
+    moved = np.fft.ifft2(ndimage.fourier_shift(np.fft.fft2(smooth), (0.5, 0.5))).real
+    assert mnc_subpixel(smooth, moved) == pytest.approx(1, abs=2e-3)
+    assert mnc(smooth, moved) < mnc_subpixel(smooth, moved) - 0.01
+    sharp = kernel(seed)
+    assert mnc_subpixel(sharp, ndimage.shift(sharp, (0.5, 0.5), order=1)) > 0.02 + mnc(
+        sharp, ndimage.shift(sharp, (0.5, 0.5), order=1)
+    )
+
+
+@pytest.mark.parametrize(("dx", "dy"), [(0.0, 0.0), (3.0, -2.0), (0.5, 0.25), (-1.4, 0.85)])
+@pytest.mark.parametrize("size", [48, 49])
+def test_register_shift_undoes_a_shift(dx: float, dy: float, size: int) -> None:
+    a = np.pad(ndimage.gaussian_filter(kernel(3, 48), 1.2), 8)
+    b = np.pad(a, ((0, size - 48),) * 2)
+    b = np.fft.ifft2(ndimage.fourier_shift(np.fft.fft2(b), (-dy, -dx))).real
+    # frames of 64 and 65 px have their centres at the same index
+    assert register_shift(a, b) == pytest.approx((dx, dy), abs=0.051)
+
+
+@pytest.mark.parametrize("bad", [np.zeros((3, 3)), np.ones(3), np.full((3, 3), np.nan)])
+def test_mnc_refuses_what_is_no_psf(bad: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="psf_b"):
+        mnc(np.ones((3, 3)), bad)
+    with pytest.raises(ValueError, match="psf_a"):
+        mnc_subpixel(bad, np.ones((3, 3)))
+
+
+@given(seed=seeds)
+@settings(max_examples=10, deadline=None)
+def test_path_distance_ignores_direction_and_dwell(seed: int) -> None:
+    path = boracchi_foi(np.random.default_rng(seed), samples=300)
+    hurried = Trajectory.from_samples(path.xy, t=path.t**2)
+    assert path_distance_px(path, path.reversed()) == pytest.approx(0, abs=1e-9)
+    assert path_distance_px(path, hurried) == pytest.approx(0, abs=1e-9)
+
+
+def test_path_distance_of_parallel_lines_of_two_lengths() -> None:
+    # points at equal share of the arc lie |s| (20 - 10) apart, s from -1/2 to 1/2: 2.5 px on average
+    assert path_distance_px(Trajectory.straight(20.0), Trajectory.straight(10.0), samples=2001) == pytest.approx(
+        2.5, 1e-3
+    )
+
+
+def test_psnr_of_known_noise() -> None:
+    image = scene()
+    noisy = image + 0.01 * np.random.default_rng(1).standard_normal(image.shape)
+    assert psnr_up_to_shift(noisy, image) == pytest.approx(40, abs=0.2)
+    assert psnr_up_to_shift(image, image) > 190
+
+
+@pytest.mark.parametrize("shift", [(0, 3), (-4, 2), (1.25, -2.5)])
+def test_psnr_and_ssim_up_to_shift(shift: tuple[float, float]) -> None:
+    image = scene()
+    moved = ndimage.shift(image, shift, order=5, mode="nearest")
+    assert psnr_up_to_shift(moved, image) > 32  # bilinear re-alignment blurs a little
+    assert psnr_up_to_shift(moved, image) > psnr_up_to_shift(moved, image, max_shift_px=0) + 5
+    assert ssim_up_to_shift(moved, image) > 0.97
+    colour = np.stack([moved] * 3, axis=-1)
+    assert psnr_up_to_shift(colour, np.stack([image] * 3, axis=-1)) == pytest.approx(psnr_up_to_shift(moved, image))
+
+
+def test_psnr_refuses_unequal_or_tiny_photos() -> None:
+    with pytest.raises(ValueError, match="differs from sharp"):
+        psnr_up_to_shift(np.zeros((50, 50)), np.zeros((50, 51)))
+    with pytest.raises(ValueError, match="crop_px"):
+        psnr_up_to_shift(np.zeros((20, 20)), np.zeros((20, 20)))
