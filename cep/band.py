@@ -1,0 +1,121 @@
+"""Frequencies at which a code is judged: quadrature over the band [-0.5, 0.5]^2, along one axis for straight motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motdiff.trajectory import Trajectory
+
+__all__ = ["BandSamples", "band", "band_samples", "circle_samples", "straight_axis", "uniform_length_px"]
+
+FloatArray = NDArray[np.float64]
+_STRAIGHT = 1e-9  # sideways px per px of extent below which a path counts as straight
+_NARROWEST = 1 / 256  # cycles/px: finest feature of a scene spectrum
+_ACROSS = 12  # Gauss-Legendre nodes along the lines on which a straight motion's OTF is constant
+
+
+@dataclass(frozen=True)
+class BandSamples:
+    """Quadrature over the band for |H|, which is even in frequency.
+
+    Attributes
+    ----------
+    fx, fy : (F,) float, cycles/px
+    weight : (F,) float
+        Shares of the band; they sum to 1, so ``weight @ g`` is the mean of g over the band.
+    radius2 : (F, Q) float, (cycles/px)^2
+        Squared radii within a sample's share: a straight motion has the same H along a whole line, a scene's spectrum
+        has not.
+    radius2_weight : (F, Q) float
+        Their parts of the sample's share, each row summing to 1.
+    """
+
+    fx: FloatArray
+    fy: FloatArray
+    weight: FloatArray
+    radius2: FloatArray
+    radius2_weight: FloatArray
+
+
+def band(size: int = 64) -> tuple[FloatArray, FloatArray]:
+    """Grids (fx, fy), each (size, size) cycles/px, of an FFT over [-0.5, 0.5)^2, zero frequency at ``size // 2``."""
+    axis = np.fft.fftshift(np.fft.fftfreq(size))
+    fx, fy = np.meshgrid(axis, axis)
+    return fx, fy
+
+
+def band_samples(trajectory: Trajectory, *, oversampling: int = 64) -> BandSamples:
+    """Make a quadrature that resolves |H| along ``trajectory`` for any code.
+
+    H is the Fourier transform of something no wider than the path, so 1 / extent is its natural step. A straight
+    motion takes ``oversampling`` samples per such step along its one axis. A curved one takes the trapezoid rule on 64
+    intervals a side, or on as many as its extent in px.
+    """
+    axis = straight_axis(trajectory)
+    if axis is not None:
+        return _along(axis, max(1.0, float(np.ptp(trajectory.xy @ axis))), oversampling)
+    side = max(64, 2 * int(np.ceil(trajectory.extent_px / 2)))
+    fx, fy = np.meshgrid(np.linspace(-0.5, 0.5, side + 1), np.linspace(0, 0.5, side // 2 + 1))
+    wx, wy = np.ones(side + 1), np.ones(side // 2 + 1)
+    wx[[0, -1]] = wy[[0, -1]] = 0.5
+    weight = np.outer(wy, wx).ravel()
+    return BandSamples(
+        fx.ravel(), fy.ravel(), weight / weight.sum(), (fx**2 + fy**2).ravel()[:, None], np.ones((fx.size, 1))
+    )
+
+
+def circle_samples(chips: int, *, oversampling: int = 64) -> BandSamples:
+    """Make a quadrature over the unit circle of a code's polynomial: ``fx`` in cycles/chip, one chip a px."""
+    return _along(np.array([1.0, 0.0]), float(chips), oversampling)
+
+
+def straight_axis(trajectory: Trajectory) -> FloatArray | None:
+    """Find the unit vector (2,) of a straight motion, whatever its speed, or None for a curved one."""
+    extent = trajectory.extent_px
+    if extent == 0:
+        return np.array([1.0, 0.0])
+    farthest = trajectory.xy[np.argmax(np.linalg.norm(trajectory.xy - trajectory.xy[0], axis=1))] - trajectory.xy[0]
+    axis = farthest / np.linalg.norm(farthest)
+    sideways = trajectory.xy @ np.array([-axis[1], axis[0]])
+    return axis if np.ptp(sideways) <= _STRAIGHT * extent else None
+
+
+def uniform_length_px(trajectory: Trajectory) -> float | None:
+    """Find the length of a straight motion of constant speed, px, or None for any other."""
+    axis = straight_axis(trajectory)
+    if axis is None or trajectory.extent_px == 0:
+        return None
+    along = trajectory.xy @ axis
+    uniform = along[0] + (along[-1] - along[0]) * trajectory.t
+    return trajectory.length_px if np.abs(along - uniform).max() <= _STRAIGHT * trajectory.extent_px else None
+
+
+def _along(axis: FloatArray, extent_px: float, oversampling: int) -> BandSamples:
+    reach = 0.5 * float(np.abs(axis).sum())
+    intervals = int(np.ceil(oversampling * max(4.0, extent_px * reach)))
+    s = np.linspace(0, reach, intervals + 1)
+    # the line f.axis = s leaves the square at low and high, measured across
+    low, high = np.full(s.size, -np.inf), np.full(s.size, np.inf)
+    for along, across in zip(axis, (-axis[1], axis[0]), strict=True):
+        if abs(across) > 1e-12:
+            ends = np.stack([(-0.5 - s * along) / across, (0.5 - s * along) / across])
+            low, high = np.maximum(low, ends.min(axis=0)), np.minimum(high, ends.max(axis=0))
+    weight = np.maximum(high - low, 0.0)
+    weight[[0, -1]] *= 0.5
+    # across the line a scene's 1 / (s^2 + q^2) peaks at q = 0: evenly spaced in asinh(q / width) resolves any width
+    width = np.hypot(s, _NARROWEST)
+    u_low, u_high = np.arcsinh(low / width), np.arcsinh(high / width)
+    nodes, shares = np.polynomial.legendre.leggauss(_ACROSS)
+    u = 0.5 * (u_low + u_high)[:, None] + 0.5 * (u_high - u_low)[:, None] * nodes
+    across_f = width[:, None] * np.sinh(u)
+    share = shares * np.cosh(u)
+    return BandSamples(
+        s * axis[0],
+        s * axis[1],
+        weight / weight.sum(),
+        s[:, None] ** 2 + across_f**2,
+        share / share.sum(axis=1, keepdims=True),
+    )

@@ -1,0 +1,1 @@
+"""Codes of others, and what a code is compared with."""

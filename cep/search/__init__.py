@@ -1,0 +1,1 @@
+"""Search for shutter codes: problem, objectives, annealing, bounds."""

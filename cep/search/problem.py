@@ -1,0 +1,212 @@
+"""What to search for: motions, number of chips, light, objective, direction rule and the shutter's limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.band import uniform_length_px
+from cep.camera import Camera
+from cep.code import ShutterCode
+from cep.mtf import CodeMetrics, measure, worst_of
+from motdiff.trajectory import Trajectory
+
+__all__ = ["OBJECTIVES", "Scenario", "SearchProblem", "open_range_of_duty"]
+
+BoolArray = NDArray[np.bool_]
+OBJECTIVES = ("min-mtf", "flatness", "noise", "mse")
+DirectionRule = Literal["auto", "unknown", "forward"]
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A motion that may happen, with its weight."""
+
+    trajectory: Trajectory
+    weight: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchProblem:
+    """A search for a shutter code.
+
+    Parameters
+    ----------
+    chips : int
+        Number of chips n.
+    scenarios : tuple of Scenario
+        Motions to design for. None at all means the unit circle of the code's polynomial: the objective is then
+        :func:`cep.minimum.min_chip` and its like, whatever the speed of a straight motion.
+    open_range : (int, int), optional
+        Fewest and most open chips; any number when omitted.
+    objective : {"min-mtf", "flatness", "noise", "mse"} or tuple of (name, weight)
+        What to improve; a mix adds the objectives' decibels. See :mod:`cep.search.objective`.
+    direction : {"auto", "unknown", "forward"}
+        Unknown: the worse of both directions counts. Forward: only the one given. Auto: as each trajectory says.
+    rule : {"worst", "mean"}
+        How scenarios combine; the mean is weighted.
+    min_open, min_closed : int
+        Shortest open run, and shortest closed run between two open ones, chips.
+    max_pulses : int, optional
+        Most open runs.
+    camera : Camera
+        For the objective "mse".
+
+    Raises
+    ------
+    ValueError
+        If an argument is malformed, or limits conflict; the line says which.
+    """
+
+    chips: int
+    scenarios: tuple[Scenario, ...] = ()
+    open_range: tuple[int, int] | None = None
+    objective: str | tuple[tuple[str, float], ...] = "min-mtf"
+    direction: DirectionRule = "auto"
+    rule: Literal["worst", "mean"] = "worst"
+    min_open: int = 1
+    min_closed: int = 1
+    max_pulses: int | None = None
+    camera: Camera = field(default_factory=Camera)
+
+    def __post_init__(self) -> None:
+        for name in ("chips", "min_open", "min_closed", "max_pulses"):
+            value = getattr(self, name)
+            if not (name == "max_pulses" and value is None) and (not isinstance(value, int) or value < 1):
+                raise ValueError(f"{name}: must be a whole number of at least 1, got {value!r}")
+        for name, allowed in (("direction", ("auto", "unknown", "forward")), ("rule", ("worst", "mean"))):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
+        for name, weight in self.objective_mix:
+            if name not in OBJECTIVES:
+                raise ValueError(f"objective: must be one of {', '.join(OBJECTIVES)}, got {name!r}")
+            if not (np.isfinite(weight) and weight > 0):
+                raise ValueError(f"objective: the weight of {name} must be above 0, got {weight}")
+        if not self.objective_mix:
+            raise ValueError("objective: needs at least one objective")
+        if not all(np.isfinite(s.weight) and s.weight > 0 for s in self.scenarios):
+            raise ValueError("scenarios: every weight must be above 0")
+        self._check_feasible()
+
+    @classmethod
+    def along(cls, *trajectories: Trajectory, chips: int, **options: object) -> SearchProblem:
+        """Make a problem of equally weighted trajectories; ``options`` are the other fields."""
+        return cls(chips=chips, scenarios=tuple(Scenario(t) for t in trajectories), **options)  # type: ignore[arg-type]
+
+    @property
+    def objective_mix(self) -> tuple[tuple[str, float], ...]:
+        """Objectives with their weights."""
+        return ((self.objective, 1.0),) if isinstance(self.objective, str) else tuple(self.objective)
+
+    @property
+    def open_limits(self) -> tuple[int, int]:
+        """Fewest and most open chips that the limits leave."""
+        low, high = self.open_range or (1, self.chips)
+        return max(low, self.min_open), high
+
+    @property
+    def constrained(self) -> bool:
+        """Whether any run or pulse limit is set."""
+        return self.min_open > 1 or self.min_closed > 1 or self.max_pulses is not None
+
+    def both_directions(self, trajectory: Trajectory) -> bool:
+        """Whether the reversed path is designed for as well; a uniform straight one is its own mirror image."""
+        unknown = self.direction == "unknown" or (self.direction == "auto" and trajectory.direction == "unknown")
+        return unknown and uniform_length_px(trajectory) is None
+
+    def satisfied(self, codes: NDArray[np.integer] | BoolArray) -> BoolArray:
+        """Which of (R, n) codes keep every limit, (R,) bool."""
+        is_open = np.asarray(codes) != 0
+        low, high = self.open_limits
+        count = is_open.sum(axis=1)
+        ok = (count >= low) & (count <= high)
+        if self.min_open > 1:
+            ok &= (_opening(is_open, self.min_open) == is_open).all(axis=1)
+        if self.min_closed > 1:
+            # before the first and after the last pulse the shutter is closed for longer than any limit
+            closed = np.pad(~is_open, ((0, 0), (self.min_closed, self.min_closed)), constant_values=True)
+            ok &= (_opening(closed, self.min_closed) == closed).all(axis=1)
+        if self.max_pulses is not None:
+            ok &= np.diff(is_open.astype(np.int8), axis=1, prepend=0).clip(0).sum(axis=1) <= self.max_pulses
+        return np.asarray(ok, dtype=np.bool_)
+
+    def random_codes(self, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
+        """Draw ``count`` codes within the limits, (count, n) of 0 and 1."""
+        low, high = self.open_limits
+        codes = np.zeros((count, self.chips), dtype=np.int8)
+        for row in codes:
+            k = int(rng.integers(low, high + 1))
+            if not self.constrained:
+                row[rng.permutation(self.chips)[:k]] = 1
+                continue
+            most = min(self.max_pulses or k, k // self.min_open, (self.chips - k) // self.min_closed + 1)
+            pulses = int(rng.integers(1, most + 1))
+            lengths = self.min_open + _composition(k - pulses * self.min_open, pulses, rng)
+            gaps = _composition(self.chips - k - (pulses - 1) * self.min_closed, pulses + 1, rng)
+            gaps[1:-1] += self.min_closed
+            start = 0
+            for gap, length in zip(gaps, lengths, strict=False):
+                row[start + gap : start + gap + length] = 1
+                start += gap + length
+        return codes
+
+    def measure(self, code: ShutterCode, *, budget: int = 20_000) -> CodeMetrics:
+        """Worst of each figure over all scenarios and directions; on the unit circle, along ``chips`` px straight."""
+        if code.chips != self.chips:
+            raise ValueError(f"code: must have {self.chips} chips, got {code.chips}")
+        paths = [s.trajectory for s in self.scenarios] or [Trajectory.straight(float(self.chips))]
+        paths += [path.reversed() for path in paths if self.both_directions(path)]
+        return worst_of(*(measure(path, code, camera=self.camera, budget=budget) for path in paths))
+
+    def _check_feasible(self) -> None:
+        if self.open_range is None:
+            if self.min_open > self.chips:
+                raise ValueError(
+                    f"min_open: runs of {self.min_open} open chips do not fit a code of {self.chips} chips"
+                )
+            return
+        low, high = self.open_range
+        if low > high:
+            raise ValueError(f"open_range: fewest {low} is above most {high}")
+        if low < 1 or high > self.chips:
+            raise ValueError(f"open_range: must lie within 1..{self.chips} chips, got {low}..{high}")
+        if high < self.min_open:
+            raise ValueError(
+                f"min_open: runs of {self.min_open} open chips conflict with at most {high} open chips (open_range)"
+            )
+
+
+def open_range_of_duty(chips: int, low: float, high: float) -> tuple[int, int]:
+    """Range of open chips whose duty lies within ``low``..``high``.
+
+    Raises
+    ------
+    ValueError
+        If the duties are not within 0..1 and in order, or no whole number of chips lies between them.
+    """
+    if not 0 <= low <= high <= 1:
+        raise ValueError(f"duty: must be LOW:HIGH within 0..1, got {low:g}:{high:g}")
+    fewest, most = max(1, int(np.ceil(low * chips - 1e-9))), int(np.floor(high * chips + 1e-9))
+    if fewest > most:
+        raise ValueError(f"duty: no whole number of open chips out of {chips} lies within {low:g}:{high:g}")
+    return fewest, most
+
+
+def _opening(mask: BoolArray, length: int) -> BoolArray:
+    """Keep what is covered by runs of at least ``length``."""
+    kept = np.zeros_like(mask)
+    if length > mask.shape[1]:
+        return kept
+    full = np.lib.stride_tricks.sliding_window_view(mask, length, axis=1).all(axis=2)
+    for shift in range(length):
+        kept[:, shift : shift + full.shape[1]] |= full
+    return kept
+
+
+def _composition(total: int, parts: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Split ``total`` into ``parts`` non-negative whole numbers, all splits equally likely."""
+    bars = np.sort(rng.choice(total + parts - 1, parts - 1, replace=False))
+    return np.diff(np.concatenate([[-1], bars, [total + parts - 1]])) - 1

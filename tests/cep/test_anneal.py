@@ -1,0 +1,267 @@
+"""The search: against brute force, within its limits, reproducible, interruptible; and its bounds."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cep.baselines.compare import compare
+from cep.baselines.published import PUBLISHED
+from cep.code import ShutterCode
+from cep.minimum import min_chip
+from cep.mtf import measure
+from cep.search.anneal import anneal
+from cep.search.bounds import bound
+from cep.search.moves import propose
+from cep.search.objective import Objective
+from cep.search.problem import OBJECTIVES, Scenario, SearchProblem, open_range_of_duty
+from motdiff.trajectory import Trajectory
+
+
+def arc(length_px=12.0, samples=24):
+    angle = np.linspace(0, 2.2, samples) ** 1.4
+    return Trajectory.from_samples(length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1))
+
+
+def all_codes(problem):
+    n = problem.chips
+    everything = ((np.arange(1, 2**n)[:, None] >> np.arange(n)) & 1).astype(np.int8)
+    return everything[problem.satisfied(everything)]
+
+
+def brute_force(problem):
+    """Best exact cost over every code; those whose sampled cost is already hopeless are skipped."""
+    fine = Objective(problem, oversampling=64, dtype=np.float64)
+    codes = all_codes(problem)
+    # a continuum minimum only raises the cost
+    sampled = fine.cost_of(codes)
+    best = np.inf
+    for index in np.argsort(sampled):
+        if sampled[index] >= best:
+            break
+        best = min(best, fine.exact_cost(ShutterCode.from_array(codes[index])))
+    return best
+
+
+@pytest.mark.parametrize("objective", [*OBJECTIVES, (("noise", 1.0), ("min-mtf", 0.5))])
+@pytest.mark.parametrize("where", ["circle", "straight", "limits"])
+def test_agrees_with_brute_force(objective, where):
+    options = {
+        "circle": {"chips": 12, "open_range": (4, 9)},
+        "straight": {"chips": 11, "open_range": (6, 6), "scenarios": (Scenario(Trajectory.straight(14.0)),)},
+        "limits": {"chips": 12, "min_open": 2, "min_closed": 2, "max_pulses": 3, "open_range": (5, 8)},
+    }[where]
+    problem = SearchProblem(objective=objective, **options)
+    found = anneal(problem, rng=np.random.default_rng(0), steps=6000 if problem.constrained else 30_000)
+    assert found.objective == pytest.approx(brute_force(problem), abs=1e-6)
+
+
+@pytest.mark.parametrize("objective", ["noise", "mse", "flatness"])
+@pytest.mark.parametrize("direction", ["unknown", "forward"])
+def test_agrees_with_brute_force_on_a_curve(objective, direction):
+    problem = SearchProblem.along(arc(), chips=10, open_range=(5, 5), objective=objective, direction=direction)
+    found = anneal(problem, rng=np.random.default_rng(0), steps=2500)
+    assert found.objective == pytest.approx(brute_force(problem), abs=1e-6)
+
+
+def test_cost_is_what_measure_says():
+    """The search's own arithmetic against the measuring one, both directions, worst case."""
+    path, code = arc(), ShutterCode("1110111001")
+    for name, field, factor in (("noise", "noise_gain_db", 1), ("mse", "mse_db", 1)):
+        problem = SearchProblem.along(path, chips=10, objective=name, direction="unknown")
+        cost = Objective(problem, oversampling=64, dtype=np.float64).exact_cost(code)
+        measured = [getattr(measure(p, code, budget=0), field) for p in (path, path.reversed())]
+        assert cost == pytest.approx(factor * max(measured), abs=1e-9)
+        assert getattr(problem.measure(code, budget=0), field) == pytest.approx(max(measured), abs=1e-12)
+    straight = SearchProblem.along(Trajectory.straight(14.3), chips=10)
+    cost = Objective(straight, oversampling=64, dtype=np.float64).exact_cost(code)
+    assert cost == pytest.approx(-20 * np.log10(measure(Trajectory.straight(14.3), code).min_mtf), abs=1e-6)
+    circle = Objective(SearchProblem(chips=10), oversampling=64, dtype=np.float64).exact_cost(code)
+    assert circle == pytest.approx(-20 * np.log10(min_chip(code) / 10), abs=1e-6)
+
+
+def test_scenarios_combine_by_rule_and_in_any_order():
+    paths = (Scenario(arc(8.0), 3.0), Scenario(Trajectory.straight(11.0), 1.0))
+    codes = np.random.default_rng(0).integers(0, 2, (20, 10)).astype(np.int8)
+    codes[:, 0] = 1
+
+    def costs(scenarios, rule):
+        problem = SearchProblem(chips=10, scenarios=scenarios, objective="noise", rule=rule)
+        return Objective(problem, oversampling=64, dtype=np.float64).cost_of(codes)
+
+    single = np.array([costs((path,), "worst") for path in paths])
+    assert np.allclose(costs(paths, "worst"), single.max(axis=0))
+    assert np.allclose(costs(paths, "mean"), 0.75 * single[0] + 0.25 * single[1])
+    assert np.allclose(costs(paths[::-1], "worst"), costs(paths, "worst"))
+
+
+@given(st.integers(0, 1000), st.integers(2, 20), st.booleans(), st.data())
+@settings(max_examples=60)
+def test_moves_keep_the_limits_and_the_books(seed, chips, unlimited, data):
+    rng = np.random.default_rng(seed)
+    low = data.draw(st.integers(1, chips))
+    high = data.draw(st.integers(low, chips))
+    limits = (
+        {}
+        if unlimited
+        else {
+            "min_open": data.draw(st.integers(1, high)),
+            "min_closed": data.draw(st.integers(1, 5)),
+            "max_pulses": data.draw(st.integers(1, 4)),
+        }
+    )
+    problem = SearchProblem(chips=chips, open_range=(low, high), **limits)
+    codes = problem.random_codes(6, rng=rng)
+    assert problem.satisfied(codes).all()
+    basis = rng.normal(size=(chips, 2, 3))
+    otf = np.tensordot(codes, basis, 1)
+    for _ in range(10):
+        change = propose(problem, codes, rng=rng)
+        assert np.allclose(change.applied(otf, basis), np.tensordot(change.codes, basis, 1), atol=1e-9)
+        assert np.array_equal(change.codes.sum(1, dtype=int), codes.sum(1, dtype=int) + change.opened)
+        assert np.array_equal(problem.satisfied(change.codes) | ~change.allowed, np.ones(6, bool))
+        codes = np.where(change.allowed[:, None], change.codes, codes)
+        otf = np.tensordot(codes, basis, 1)
+
+
+@given(st.text("01", min_size=8, max_size=24), st.integers(1, 4), st.integers(1, 4), st.integers(1, 5))
+def test_limits_mean_what_the_runs_say(bits, min_open, min_closed, max_pulses):
+    bits = "1" + bits
+    problem = SearchProblem(chips=len(bits), min_open=min_open, min_closed=min_closed, max_pulses=max_pulses)
+    code = ShutterCode(bits)
+    inner = ShutterCode(bits.strip("0")).runs
+    kept = (
+        all(length >= (min_open if bit else min_closed) for bit, length in inner)
+        and code.pulses <= max_pulses
+        and code.open_chips >= min_open
+    )
+    assert problem.satisfied(code.array[None])[0] == kept
+
+
+@given(st.integers(0, 99), st.integers(6, 16), st.integers(1, 3), st.integers(1, 3), st.integers(1, 4))
+@settings(max_examples=15, deadline=None)
+def test_results_keep_the_limits(seed, chips, min_open, min_closed, max_pulses):
+    problem = SearchProblem(
+        chips=chips, min_open=min_open, min_closed=min_closed, max_pulses=max_pulses, open_range=(3, chips - 2)
+    )
+    found = anneal(problem, rng=np.random.default_rng(seed), steps=600)
+    assert problem.satisfied(found.code.array[None])[0]
+
+
+def test_same_seed_same_code_and_starting_points_help():
+    problem = SearchProblem(chips=52, open_range=(26, 26))
+    first, second = (anneal(problem, rng=np.random.default_rng(7), steps=5000) for _ in range(2))
+    assert (first.code, first.objective) == (second.code, second.objective)
+    assert not first.interrupted
+    assert first.steps >= 5000
+    started = anneal(problem, rng=np.random.default_rng(7), steps=64, start=[PUBLISHED["raskar-52"]])
+    assert min_chip(started.code) >= min_chip(PUBLISHED["raskar-52"]) - 1e-9
+    assert min_chip(first.code) > 1.2
+
+
+def test_interrupt_returns_the_best_so_far():
+    problem = SearchProblem(chips=30, open_range=(15, 15), objective="noise")
+    seen = []
+
+    def progress(fraction, best):
+        seen.append((fraction, best))
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    found = anneal(problem, rng=np.random.default_rng(0), steps=10**9, progress=progress)
+    assert found.interrupted
+    assert 0 < found.steps < 10**9
+    fractions = [fraction for fraction, _ in seen]
+    assert fractions == sorted(fractions)
+    fine = Objective(problem, oversampling=64, dtype=np.float64)
+    assert found.objective <= fine.exact_cost(seen[-1][1]) + 1e-4
+
+
+def test_time_limit_ends_a_search():
+    problem = SearchProblem(chips=20)
+    found = anneal(problem, rng=np.random.default_rng(0), steps=10**9, time_s=0.05)
+    assert found.interrupted
+    assert found.steps < 10**9
+    assert not anneal(problem, rng=np.random.default_rng(0), steps=None, time_s=0.05).interrupted
+
+
+def test_all_open_is_all_there_is():
+    found = anneal(SearchProblem(chips=6, open_range=(6, 6)), rng=np.random.default_rng(0), steps=100)
+    assert found.code.bits == "111111"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"chips": 0}, "chips: must be a whole number"),
+        ({"chips": 10, "open_range": (6, 4)}, "fewest 6 is above most 4"),
+        ({"chips": 10, "open_range": (2, 11)}, r"within 1..10 chips"),
+        ({"chips": 10, "min_open": 5, "open_range": (2, 4)}, "min_open: .*conflict.*at most 4.*open_range"),
+        ({"chips": 4, "min_open": 5}, "min_open: .*do not fit a code of 4"),
+        ({"chips": 4, "max_pulses": 0}, "max_pulses"),
+        ({"chips": 4, "objective": "sharp"}, "objective: must be one of min-mtf"),
+        ({"chips": 4, "objective": (("noise", -1.0),)}, "weight of noise"),
+        ({"chips": 4, "objective": ()}, "at least one objective"),
+        ({"chips": 4, "direction": "sideways"}, "direction: must be one of"),
+        ({"chips": 4, "rule": "median"}, "rule: must be one of"),
+        ({"chips": 4, "scenarios": (Scenario(Trajectory.straight(3), 0.0),)}, "every weight"),
+    ],
+)
+def test_bad_problems_are_named(options, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        SearchProblem(**options)
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_searches_are_named():
+    problem, rng = SearchProblem(chips=5), np.random.default_rng(0)
+    with pytest.raises(ValueError, match="steps"):
+        anneal(problem, rng=rng, steps=0)
+    with pytest.raises(ValueError, match="time_s"):
+        anneal(problem, rng=rng, time_s=0)
+    with pytest.raises(ValueError, match=r"start: .*5 chips"):
+        anneal(problem, rng=rng, start=[ShutterCode("111")])
+    with pytest.raises(ValueError, match="code: must have 5 chips"):
+        problem.measure(ShutterCode("111"))
+
+
+def test_duty_becomes_a_range_of_chips():
+    assert open_range_of_duty(52, 0.5, 0.5) == (26, 26)
+    assert open_range_of_duty(10, 0.25, 0.75) == (3, 7)
+    for low, high, message in ((0.51, 0.52, "no whole number"), (0.6, 0.4, "LOW:HIGH"), (0.5, 1.5, "LOW:HIGH")):
+        with pytest.raises(ValueError, match=message):
+            open_range_of_duty(10, low, high)
+
+
+@pytest.mark.parametrize("chips", [6, 8])
+def test_bound_holds_for_every_code(chips):
+    everything = [
+        ShutterCode("".join("1" if i in chosen else "0" for i in range(chips)))
+        for k in (3, 5)
+        for chosen in combinations(range(chips), k)
+    ]
+    circle = bound(SearchProblem(chips=chips, open_range=(3, 5)))
+    best = max(min_chip(code) for code in everything)
+    assert best <= circle.min_chip <= np.sqrt(5) + 1e-9
+    for path in (Trajectory.straight(1.3 * chips), Trajectory.straight(2.0)):
+        straight = bound(SearchProblem.along(path, chips=chips, open_range=(3, 5)))
+        best = max(measure(path, code, budget=0).min_mtf for code in everything)
+        assert best <= straight.min_mtf <= 5 / chips + 1e-9
+
+
+def test_comparison_measures_every_baseline():
+    problem = SearchProblem.along(Trajectory.straight(11.0), chips=13, open_range=(7, 9), objective="noise")
+    code = anneal(problem, rng=np.random.default_rng(0), steps=5000).code
+    rows = {row.name: row for row in compare(problem, code, rng=np.random.default_rng(1), steps=3000)}
+    assert set(rows) == {"code", "open", "snapshot", "barker-13", "length-only", "random (median)"}
+    assert rows["open"].code == ShutterCode("1" * 13)
+    snapshot = rows["snapshot"].code
+    assert snapshot is not None
+    assert snapshot.pulses == 1
+    gains = {name: row.metrics.noise_gain_db for name, row in rows.items()}
+    assert gains["code"] <= min(gains["barker-13"], gains["random (median)"])
+    # no other single run is better by the objective
+    runs = [ShutterCode(("1" * k).ljust(13, "0")) for k in range(1, 14)]
+    assert gains["snapshot"] <= min(problem.measure(run, budget=0).noise_gain_db for run in runs) + 0.01

@@ -1,0 +1,382 @@
+"""Bad input of every kind, from the command line: one clear line, exit code 2, and nothing written."""
+
+import json
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from cep.images import write_image
+
+GOOD = {
+    "schema": "cep.trajectory/1", "units": "px", "direction": "unknown",
+    "t": [0.0, 0.5, 1.0], "x": [-5.0, 0.0, 5.0], "y": [0.0, 0.0, 0.0],
+    "weight": 1.0, "alternatives": [], "source": {},
+}  # fmt: skip
+
+
+def everything(folder):
+    """Names and contents of all files, so that any change shows."""
+    return {str(item): item.read_bytes() if item.is_file() else None for item in sorted(Path(folder).rglob("*"))}
+
+
+@pytest.fixture
+def refused(cep, workplace):
+    """Run a command that must be refused and leave the folder untouched; return the line it printed."""
+
+    def run(*arguments):
+        before = everything(workplace)
+        line = cep.refuses(*arguments)
+        assert everything(workplace) == before
+        return line
+
+    return run
+
+
+# -- photos ---------------------------------------------------------------------------------------------------------
+
+
+def _missing(path):
+    """Leave the path free."""
+
+
+def _empty(path):
+    path.write_bytes(b"")
+
+
+def _truncated(path):
+    write_image(path, np.random.default_rng(0).random((64, 64)))
+    path.write_bytes(path.read_bytes()[:-200])
+
+
+def _text(path):
+    path.write_text("I am not a photo.")
+
+
+def _one_pixel(path):
+    cv2.imwrite(str(path), np.full((1, 1, 3), 128, np.uint8))
+
+
+def _black(path):
+    cv2.imwrite(str(path), np.zeros((96, 96, 3), np.uint8))
+
+
+def _white(path):
+    cv2.imwrite(str(path), np.full((96, 96, 3), 255, np.uint8))
+
+
+def _constant(path):
+    cv2.imwrite(str(path), np.full((96, 96), 130, np.uint8))
+
+
+def _constant_16(path):
+    cv2.imwrite(str(path), np.full((96, 96), 30000, np.uint16))
+
+
+def _constant_alpha(path):
+    cv2.imwrite(str(path), np.full((96, 96, 4), 130, np.uint8))
+
+
+def _folder(path):
+    path.mkdir()
+
+
+BROKEN = {
+    _missing: "No such file",
+    _empty: "empty",
+    _truncated: "cut short",
+    _text: "not a PNG, JPEG or TIFF",
+    _one_pixel: "1 x 1 px is too small",
+    _folder: "folder",
+}
+FEATURELESS = {
+    _black: "black all over",
+    _white: "white all over",
+    _constant: "the same all over",
+    _constant_16: "the same all over",
+    _constant_alpha: "the same all over",
+}
+
+
+@pytest.mark.parametrize("make", [*BROKEN, *FEATURELESS], ids=lambda make: make.__name__)
+@pytest.mark.parametrize("command", ["calibrate", "demo"])
+def test_photos_that_no_motion_can_be_estimated_from(refused, workplace, make, command):
+    make(Path("photo.png"))
+    arguments = ["calibrate", "photo.png"] if command == "calibrate" else ["demo", "--photo", "photo.png"]
+    line = refused(*arguments)
+    assert "photo.png" in line
+    assert (BROKEN | FEATURELESS)[make].lower() in line.lower()
+
+
+@pytest.mark.parametrize("make", BROKEN, ids=lambda make: make.__name__)
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["deblur", "photo.png", "--trajectory", "trajectory.json"],
+        ["deblur", "blurred.png", "--psf", "photo.png"],
+        ["simulate", "photo.png", "--trajectory", "trajectory.json"],
+        ["calibrate", "blurred.png", "--method", "reference", "--sharp", "photo.png"],
+    ],
+    ids=["deblur", "psf", "simulate", "sharp"],
+)
+def test_broken_photos_elsewhere(refused, workplace, make, arguments):
+    if "--psf" in arguments and make is _one_pixel:
+        return  # a PSF of one pixel is a camera at rest: fine
+    make(Path("photo.png"))
+    assert "photo.png" in refused(*arguments)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_tiff_with_nan(refused, workplace, value):
+    image = np.random.default_rng(0).random((64, 64)).astype(np.float32)
+    image[3, 4] = value
+    cv2.imwrite("nan.tif", image)
+    assert "NaN" in refused("calibrate", "nan.tif")
+    assert "NaN" in refused("deblur", "nan.tif", "--trajectory", "trajectory.json")
+
+
+def test_good_photos_of_unusual_kinds_are_taken(cep, workplace):
+    """Sixteen bit, transparent, grey: read for what they are, with a word where something is lost."""
+    rng = np.random.default_rng(1)
+    for name, image in {
+        "deep.png": rng.integers(0, 2**16, (64, 64, 3)).astype(np.uint16),
+        "glass.png": rng.integers(0, 256, (64, 64, 4)).astype(np.uint8),
+        "grey.png": rng.integers(0, 256, (64, 64)).astype(np.uint8),
+    }.items():
+        cv2.imwrite(name, image)
+        found = cep.succeeds("deblur", name, "--trajectory", "trajectory.json", "--method", "inverse")
+        assert any("transparency" in warning for warning in found["warnings"]) == (name == "glass.png")
+        written = cv2.imread(found["image"], cv2.IMREAD_UNCHANGED)
+        assert written.dtype == image.dtype
+        assert written.ndim == min(image.ndim, 3)
+
+
+def test_forty_megapixels_by_gyroscope(cep, workplace):
+    """A full frame goes through; the estimators look at crops of it."""
+    large = np.zeros((5476, 7304), np.uint8)
+    large[1000:1100, 1000:1100] = 200
+    cv2.imwrite("large.png", large, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    t = np.arange(0, 1, 0.01)
+    Path("g.csv").write_text("\n".join(["t_s,wx,wy,wz", *(f"{s:.2f},0.05,{0.1 * s:.4f},0" for s in t)]))
+    options = ["--gyro", "g.csv", "--focal", "800", "--start", "0.2", "--exposure", "0.2"]
+    found = cep.succeeds("calibrate", "large.png", "--method", "gyro", *options)
+    assert found["length_px"] > 1
+
+
+# -- trajectories ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"t": [0.0, 0.7, 0.4]}, "increasing"),
+        ({"t": [1.0, 0.5, 0.0]}, "increasing"),
+        ({"t": [0.0, 0.0, 1.0]}, "increasing"),
+        ({"t": [0.0], "x": [0.0], "y": [0.0]}, "at least 2"),
+        ({"t": [], "x": [], "y": []}, "at least 2"),
+        ({"x": [0.0, float("nan"), 1.0]}, "NaN"),
+        ({"y": [0.0, float("inf"), 1.0]}, "infinity"),
+        ({"x": [0.0, 1.0]}, "equally long"),
+        ({"x": ["a", "b", "c"]}, "trajectory.json"),
+        ({"x": None}, "trajectory.json"),
+        ({"schema": "cep.trajectory/2"}, 'wanted schema "cep.trajectory/1"'),
+        ({"schema": None}, "wanted schema"),
+        ({"units": "mm"}, 'wanted units "px"'),
+        ({"direction": "sideways"}, "direction"),
+        ({"weight": 2}, "weight"),
+    ],
+)
+@pytest.mark.parametrize("command", ["optimize", "audit", "mtf", "simulate", "deblur"])
+def test_bad_trajectories(refused, workplace, command, change, message):
+    Path("trajectory.json").write_text(json.dumps(GOOD | change))
+    first = {"audit": "1011", "simulate": "sharp.png", "deblur": "blurred.png"}.get(command)
+    line = refused(*filter(None, [command, first]), "--trajectory", "trajectory.json", "-o", "out.png")
+    assert "trajectory.json" in line
+    assert message in line
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[1, 2]", b"\xff\xfe\x00", b"null"])
+def test_trajectories_that_are_no_json_object(refused, workplace, content):
+    Path("trajectory.json").write_bytes(content)
+    assert "trajectory.json" in refused("mtf", "--trajectory", "trajectory.json")
+
+
+def test_no_trajectory_or_two_of_them(refused, workplace):
+    for arguments in ([], ["--trajectory", "trajectory.json", "--linear", "5"]):
+        assert "exactly one" in refused("mtf", *arguments)
+    for length in ("0", "-3", "nan", "inf", "1e9"):
+        assert "--linear" in refused("mtf", "--linear", length)
+
+
+# -- codes ----------------------------------------------------------------------------------------------------------
+
+BAD_CODES = {"10201": "only 0 and 1", "1 0 1": "only 0 and 1", "0000": "closed", "": "empty", "hello": "is no code"}
+
+
+@pytest.mark.parametrize(("bits", "message"), BAD_CODES.items())
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["audit", "{}"],
+        ["export", "{}", "--format", "csv"],
+        ["upload", "{}", "--port", "/dev/null"],
+        ["mtf", "--linear", "10", "--code", "{}"],
+        ["simulate", "sharp.png", "--linear", "10", "--code", "{}"],
+        ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--code", "{}"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_bad_codes(refused, arguments, bits, message):
+    assert message in refused(*(part.replace("{}", bits) for part in arguments))
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        {"schema": "cep.code/9", "bits": "1011", "chip_ns": 1},
+        {"schema": "cep.code/1", "bits": "0000", "chip_ns": 1},
+        {"schema": "cep.code/1", "bits": "1011", "chip_ns": -1},
+        {"schema": "cep.code/1", "chip_ns": 1},
+    ],
+)
+def test_bad_code_files(refused, workplace, document):
+    Path("code.json").write_text(json.dumps(document))
+    assert "code.json" in refused("audit", "code.json")
+
+
+def test_codes_longer_than_the_trajectory_can_resolve(refused, workplace):
+    long = "10" * 100
+    for arguments in (
+        ["optimize", "--linear", "10", "--chips", "200", "-o", "new.json"],
+        ["audit", long, "--linear", "10"],
+        ["mtf", "--linear", "10", "--code", long],
+        ["simulate", "sharp.png", "--linear", "10", "--code", long],
+        ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--code", long],
+    ):
+        line = refused(*arguments)
+        assert "at most" in line
+        assert "can be resolved" in line
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--chips", "0"],
+        ["--open", "11"],
+        ["--open", "6:3"],
+        ["--open", "half"],
+        ["--duty", "0.9:0.1"],
+        ["--duty", "2"],
+        ["--duty", "0.51:0.52"],
+        ["--duty", "0.5", "--open", "5"],
+        ["--objective", "beauty"],
+        ["--direction", "up"],
+        ["--method", "exact"],
+        ["--min-open", "11"],
+        ["--min-open", "4", "--open", "3"],
+        ["--device", "nothing"],
+        ["--device", "missing.toml"],
+        ["--time", "0"],
+        ["--camera", "missing.json"],
+        ["--camera", "blurred.png"],
+        ["--photons", "-5"],
+        ["--photons", "nan"],
+        ["--read-noise", "-1"],
+    ],
+)
+def test_searches_that_cannot_be(refused, options):
+    refused("optimize", "--linear", "10", "--chips", "10", *options, "-o", "new.json")
+
+
+# -- outputs --------------------------------------------------------------------------------------------------------
+
+WRITERS = {
+    "calibrate": ["calibrate", "blurred.png", "--method", "reference", "--sharp", "sharp.png", "-o", "OUT"],
+    "optimize": ["optimize", "--linear", "8", "--chips", "8", "--steps", "100", "-o", "OUT"],
+    "audit": ["audit", "1011", "-o", "OUT"],
+    "mtf": ["mtf", "--linear", "8", "-o", "OUT"],
+    "simulate": ["simulate", "sharp.png", "--linear", "8", "-o", "OUT"],
+    "deblur": ["deblur", "blurred.png", "--trajectory", "trajectory.json", "-o", "OUT"],
+    "export": ["export", "1011", "--format", "csv", "-o", "OUT"],
+    "upload": ["upload", "1011", "--port", "/dev/null", "-o", "OUT"],
+    "demo": ["demo", "-o", "OUT"],
+}
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_existing_outputs_are_kept(refused, cep, workplace, command):
+    taken = Path("out.png")
+    if command in ("calibrate", "demo"):
+        taken.mkdir()
+        (taken / "trajectory.json").write_text("precious")
+    else:
+        taken.write_text("precious")
+    line = refused(*(part.replace("OUT", "out.png") for part in WRITERS[command]))
+    assert "exists already, use --force" in line
+    if command in ("calibrate", "optimize", "audit", "mtf", "simulate", "deblur", "export"):
+        assert cep(*(part.replace("OUT", "out.png") for part in WRITERS[command]), "--force").code == 0
+        kept = taken / "trajectory.json" if taken.is_dir() else taken
+        assert kept.read_bytes() != b"precious"
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_unwritable_folders(refused, workplace, monkeypatch, command):
+    real = os.access
+    # root may write everywhere: the answer of the operating system is replaced, for writing only
+    monkeypatch.setattr(os, "access", lambda path, mode, **how: not mode & os.W_OK and real(path, mode, **how))
+    assert "cannot be written to" in refused(*(part.replace("OUT", "out.png") for part in WRITERS[command]))
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_a_file_where_a_folder_should_be(refused, workplace, command):
+    Path("file").write_text("")
+    refused(*(part.replace("OUT", "file/out.png") for part in WRITERS[command]))
+
+
+def test_missing_folders_are_named(refused, workplace):
+    assert "no folder nowhere" in refused("export", "1011", "--format", "csv", "-o", "nowhere/out.csv")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["mtf", "--linear", "5", "-o", "mtf.gif"],
+        ["simulate", "sharp.png", "--linear", "5", "-o", "coded.gif"],
+        ["deblur", "blurred.png", "--trajectory", "trajectory.json", "-o", "sharp"],
+    ],
+)
+def test_unknown_kinds_of_output(refused, arguments):
+    assert ".png" in refused(*arguments)
+
+
+# -- the rest -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["calibrate", "blurred.png", "--method", "magic"],
+        ["calibrate", "blurred.png", "--method", "reference"],
+        ["calibrate", "blurred.png", "--method", "gyro", "--focal", "1000"],
+        ["calibrate", "blurred.png", "--method", "point", "--sharp", "sharp.png"],
+        ["calibrate", "blurred.png", "--gamma", "7"],
+        ["calibrate", "blurred.png", "--method=gyro", "--gyro=blurred.png", "--focal=1", "--start=0", "--exposure=1"],
+        ["calibrate", "."],
+        ["deblur", "blurred.png"],
+        ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--psf", "psf.npy"],
+        ["deblur", "blurred.png", "--psf", "psf.npy", "--code", "1011"],
+        ["deblur", "blurred.png", "--psf", "psf.npy"],
+        ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--method", "magic"],
+        ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--method", "tv", "--photons", "100"],
+        ["simulate", "sharp.png", "--linear", "5000"],
+        ["export", "1011", "--format", "morse"],
+        ["export", "1011", "--format", "csv", "--device", "nothing"],
+        ["upload", "1011", "--port", "/dev/nothing-there"],
+        ["upload", "1011", "--port", "blurred.png"],
+    ],
+    ids=lambda arguments: " ".join(arguments[:4]),
+)  # fmt: skip
+def test_other_wrong_options(refused, arguments):
+    refused(*arguments)

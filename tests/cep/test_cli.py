@@ -1,0 +1,354 @@
+"""Every command: its files, its JSON fields, its exit codes; and that the first page comes at once."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cep.cli import console
+from cep.cli.main import app, main
+from cep.cli.options import load_code
+from cep.code import ShutterCode
+from cep.exposure import coded_psf
+from cep.files import read_code, read_psf
+from cep.images import read_photo, write_image
+from cep.mtf import measure
+from hw.export import EXPORTERS
+from motdiff.files import read_motion, write_motion
+from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
+from motdiff.trajectory import Trajectory
+
+COMMANDS = ("calibrate", "optimize", "audit", "mtf", "simulate", "deblur", "export", "upload", "demo")
+METRICS = {"min_mtf", "min_chip", "noise_gain_db", "mse_db", "flatness_var", "dnf_db"}
+
+
+# -- the program itself ---------------------------------------------------------------------------------------------
+
+
+def test_help_loads_nothing_heavy():
+    """Instant help, shown by what is imported: no test asserts a wall time."""
+    code = (
+        "import sys; from cep.cli.main import main; code = main(['--help'])\n"
+        "heavy = {'torch', 'cvxpy', 'matplotlib', 'scipy', 'skimage', 'cv2', 'numpy'} & set(sys.modules)\n"
+        "assert code == 0 and not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    for command in COMMANDS:
+        assert command in done.stdout
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example_and_the_common_options(cep, command):
+    cep(command, "--help")
+    assert cep.code == 0
+    for text in ("--json", "--seed", "--force", "--output", "Example: cep " + command):
+        assert text in " ".join(cep.out.split())
+
+
+def test_commands_are_those_of_the_design():
+    assert tuple(info.name for info in app.registered_commands) == COMMANDS
+
+
+def test_no_arguments_show_help(cep):
+    assert cep().code == 0
+    assert "Usage" in cep.out
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["calibrat"],
+        ["--nonsense"],
+        ["audit"],
+        ["audit", "1011", "--nonsense"],
+        ["audit", "1011", "--flips", "many"],
+        ["export", "1011", "--format", "csv", "--chip-ns", "0"],
+        ["optimize", "--linear", "ten"],
+        ["upload", "1011"],
+    ],
+)
+def test_wrong_usage_is_one_line(cep, arguments):
+    assert "--help" in cep.refuses(*arguments)
+
+
+def test_failures_are_one_line_and_exit_1(monkeypatch, capsys):
+    assert console.explain(RuntimeError("device is gone")) == 1
+    assert console.explain(ZeroDivisionError("two\nlines")) == 1
+    noted = RuntimeError("device is gone")
+    noted.add_note("look at the shutter")
+    assert console.explain(noted) == 1
+    assert console.explain(MemoryError()) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[:3] == [
+        "cep: device is gone",
+        "cep: ZeroDivisionError: two lines",
+        "cep: device is gone; look at the shutter",
+    ]
+    assert "Traceback" not in "".join(lines)
+    monkeypatch.setenv("CEP_DEBUG", "1")
+    console.explain(ValueError("why"))
+    assert "cep: why" in capsys.readouterr().err
+
+
+def test_an_interrupt_exits_130(cep, monkeypatch, workplace):
+    def interrupted(*_arguments, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cep.restore.restore", interrupted)
+    before = sorted(workplace.iterdir())
+    assert main(["deblur", "blurred.png", "--trajectory", "trajectory.json"]) == 130
+    assert sorted(workplace.iterdir()) == before
+
+
+def test_progress_goes_to_stderr_of_a_terminal_only(capsys, monkeypatch):
+    with console.progress("work") as tick:
+        tick(0.5, "half")
+    assert capsys.readouterr() == ("", "")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    with console.progress("work") as tick:
+        tick(0.5, "half")
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "work" in err
+
+
+# -- codes ----------------------------------------------------------------------------------------------------------
+
+
+def test_codes_by_bits_file_and_name(workplace):
+    assert load_code("1011").code == ShutterCode("1011")
+    assert load_code("code.json").code.chip_ns == 250_000
+    assert load_code("code.json", chip_ns=7).code.chip_ns == 7
+    assert load_code("raskar-52").code.chips == 52
+
+
+def test_optimize(cep, workplace):
+    arguments = ("optimize", "--trajectory", "trajectory.json", "--chips", "12", "--duty", "0.4:0.7", "--steps", "3000")
+    found = cep.succeeds(*arguments, "--seed", "3", "--chip-ns", "500000", "-o", "new.json")
+    needed = {"bits", "chips", "open", "duty", "certificate", "bound", "gap", "seconds", "baselines"} | METRICS
+    assert needed <= set(found)
+    stored = read_code("new.json")
+    assert stored.code == ShutterCode(found["bits"], 500_000)
+    assert 0.4 <= found["duty"] <= 0.7
+    assert {"open shutter", "snapshot, same light", "random, median"} <= set(found["baselines"])
+    # the worse of both directions, since the file does not know which
+    motion = read_motion("trajectory.json").trajectory
+    both = [measure(path, stored.code).mse_db for path in (motion, motion.reversed())]
+    assert found["mse_db"] == pytest.approx(max(both))
+    assert found["mse_db"] < found["baselines"]["random, median"]["mse_db"]
+
+
+def test_optimize_is_repeatable(cep, workplace):
+    arguments = ("optimize", "--linear", "12", "--chips", "12", "--steps", "2000", "--seed", "5")
+    first, second = (cep.succeeds(*arguments, "-o", name) for name in ("a.json", "b.json"))
+    assert first["bits"] == second["bits"]
+    assert Path("a.json").read_bytes() == Path("b.json").read_bytes()
+
+
+def test_optimize_along_a_line_has_a_bound(cep, workplace):
+    found = cep.succeeds(
+        "optimize", "--linear", "10", "--chips", "10", "--open", "5", "--steps", "3000", "-o", "new.json"
+    )
+    assert found["bound"] == pytest.approx(np.sqrt(5))
+    assert 0 <= found["gap"] < 1
+    assert found["certificate"]["lower"] <= found["min_chip"] * (1 + 1e-9)
+    best = max(  # brute force over all codes of five open chips out of ten
+        _chip_minimum(bits) for bits in range(2**10) if bits.bit_count() == 5
+    )
+    assert found["min_chip"] == pytest.approx(best, rel=1e-3)
+
+
+def _chip_minimum(number):
+    bits = [number >> k & 1 for k in range(10)]
+    return np.abs(np.fft.rfft(bits, 4096)).min()
+
+
+def test_optimize_keeps_a_devices_limits(cep, workplace):
+    Path("slow.toml").write_text(
+        'schema = "hw.device/1"\nname = "slow"\n'
+        "min_on_ns = 2000000\nmin_off_ns = 3000000\nmax_pulses = 3\nmax_duty = 0.5\n"
+    )
+    found = cep.succeeds(
+        "optimize",
+        "--trajectory",
+        "trajectory.json",
+        "--chips",
+        "20",
+        "--device",
+        "slow.toml",
+        "--steps",
+        "3000",
+        "-o",
+        "new.json",
+    )
+    code = ShutterCode(found["bits"])
+    assert code.duty <= 0.5
+    assert code.pulses <= 3
+    opens = [length for bit, length in code.runs if bit]
+    gaps = [length for bit, length in code.runs if not bit]
+    assert min(opens) >= 2
+    inner = gaps[(code.bits[0] == "0") : len(gaps) - (code.bits[-1] == "0")]
+    assert min(inner, default=3) >= 3
+
+
+def test_optimize_interrupted_keeps_the_best(cep, workplace, monkeypatch):
+    from cep.search import anneal as module
+
+    def interrupted_soon(problem, *, progress, **options):
+        def stop(_fraction, _best):
+            raise KeyboardInterrupt
+
+        return real(problem, progress=stop, **options)
+
+    real = module.anneal
+    monkeypatch.setattr(module, "anneal", interrupted_soon)
+    found = cep.succeeds("optimize", "--linear", "20", "--chips", "16", "--steps", "100000", "-o", "new.json")
+    assert found["interrupted"]
+    assert found["warnings"]
+    assert read_code("new.json").code.bits == found["bits"]
+
+
+def test_audit_finds_a_hidden_zero(cep, workplace):
+    """MERL's 31-chip code claims a minimum of 1.85; it has a zero at a sixth of a cycle per chip."""
+    found = cep.succeeds("audit", "merl-31-t62")
+    assert set(found) >= METRICS
+    assert found["null"]
+    assert found["lowest_at"][0] == pytest.approx(1 / 6, abs=1e-6)
+    assert "zero" in found["warnings"][0]
+    better = found["neighbours"][0]
+    assert len(better["flips"]) == 1
+    assert better["minimum"] > 0.5
+
+
+def test_audit_along_a_trajectory(cep, workplace):
+    found = cep.succeeds("audit", "code.json", "--trajectory", "trajectory.json", "--flips", "1", "-o", "audit.json")
+    assert found["certificate"]["lower"] <= found["certificate"]["upper"]
+    assert found["min_chip"] is None
+    assert json.loads(Path("audit.json").read_text()) == found
+
+
+def test_mtf(cep, workplace):
+    found = cep.succeeds("mtf", "--trajectory", "trajectory.json", "--code", "code.json", "--code", "1011")
+    assert Path("mtf.png").read_bytes().startswith(b"\x89PNG")
+    assert set(found["curves"]) == {"open shutter", "code", "1011"}
+    curve = found["curves"]["1011"]
+    assert curve["mtf"][0] == pytest.approx(0.75)
+    assert set(curve) >= METRICS
+
+
+# -- photos ---------------------------------------------------------------------------------------------------------
+
+
+def test_simulate_then_deblur(cep, workplace):
+    taken = cep.succeeds(
+        "simulate", "sharp.png", "--trajectory", "trajectory.json", "--code", "code.json", "--photons", "1e6",
+        "--read-noise", "1", "-o", "coded.png",
+    )  # fmt: skip
+    assert {"image", "psf"} <= set(taken)
+    motion, code = read_motion("trajectory.json").trajectory, read_code("code.json").code
+    np.testing.assert_array_equal(read_psf(taken["psf"]), coded_psf(motion, code).astype(np.float32))
+    coded = read_photo("coded.png")
+    assert coded.bits == 16
+    sharp = read_photo("sharp.png").pixels
+    assert coded.pixels.mean() == pytest.approx(code.duty * sharp.mean(), rel=0.02)
+
+    restored = cep.succeeds("deblur", "coded.png", "--trajectory", "trajectory.json", "--code", "code.json")
+    assert {"image", "direction", "residual", "seconds"} <= set(restored)
+    assert restored["direction"] == "forward"
+    margin = (sharp.shape[0] - coded.pixels.shape[0]) // 2
+    middle = sharp[margin : margin + coded.pixels.shape[0], margin : margin + coded.pixels.shape[1]]
+    sharpened = read_photo(restored["image"])
+    assert sharpened.bits == 16
+    assert psnr_up_to_shift(sharpened.pixels, middle) > psnr_up_to_shift(coded.pixels / code.duty, middle) + 3
+
+
+def test_deblur_finds_the_reversed_direction(cep, workplace):
+    stored = read_motion("trajectory.json")
+    backwards = stored.trajectory.reversed()
+    write_motion("backwards.json", type(stored)(backwards))
+    options = ("--code", "code.json", "--photons", "1e6")
+    cep.succeeds("simulate", "sharp.png", "--trajectory", "backwards.json", *options, "-o", "coded.png")
+    restored = cep.succeeds("deblur", "coded.png", "--trajectory", "trajectory.json", "--code", "code.json")
+    assert restored["direction"] == "reverse"
+    assert 0.5 < restored["direction_confidence"] <= 1
+
+
+def test_deblur_with_a_psf_and_without_a_code(cep, workplace):
+    from cep.files import write_psf
+
+    write_psf(".", read_motion("trajectory.json").trajectory.psf())
+    for method in ("wiener", "inverse", "tv", "l0"):
+        found = cep.succeeds("deblur", "blurred.png", "--psf", "psf.npy", "--method", method, "-o", f"{method}.png")
+        assert found["residual"] < 0.05
+    assert cep.succeeds("deblur", "blurred.png", "--trajectory", "trajectory.json")["direction"] == "unknown"
+
+
+def test_simulation_repeats_with_its_seed(cep, workplace):
+    for name, seed in (("a.png", 1), ("b.png", 1), ("c.png", 2)):
+        cep.succeeds("simulate", "sharp.png", "--linear", "8", "--seed", str(seed), "-o", name)
+    assert Path("a.png").read_bytes() == Path("b.png").read_bytes() != Path("c.png").read_bytes()
+
+
+def test_calibrate_with_a_sharp_photo(cep, workplace):
+    found = cep.succeeds("calibrate", "blurred.png", "--method", "reference", "--sharp", "sharp.png", "-o", "motion")
+    fields = {"method", "trajectory", "psf", "length_px", "extent_px", "confidence", "seconds", "warnings"}
+    assert fields <= set(found)
+    names = {"trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png"}
+    assert {item.name for item in Path("motion").iterdir()} == names
+    truth = read_motion("trajectory.json").trajectory
+    stored = read_motion(found["trajectory"])
+    assert stored.source["method"] == "reference"
+    assert stored.trajectory.direction == "unknown"
+    assert mnc_subpixel(read_psf(found["psf"]), truth.psf(64)) > 0.95
+
+
+def test_calibrate_from_a_gyroscope(cep, workplace):
+    t = np.arange(0, 1, 0.005)
+    rows = [f"{s:.3f},{0.05 * np.sin(9 * s):.6f},{0.08 * np.cos(7 * s):.6f},0" for s in t]
+    Path("gyro.csv").write_text("\n".join(["t_s,wx,wy,wz", *rows]))
+    found = cep.succeeds(
+        "calibrate", "blurred.png", "--method", "gyro", "--gyro", "gyro.csv", "--focal", "1000", "--exposure", "0.2",
+        "--start", "0.3",
+    )  # fmt: skip
+    assert found["direction"] == "known"
+    assert Path("blurred_motion/trajectory.json").exists()
+
+
+def test_calibrate_from_a_point_of_light(cep, workplace):
+    motion = Trajectory.from_samples([[0, 0], [10, 3], [12, 12]])
+    night = np.full((128, 128), 0.01)
+    night[32:96, 32:96] += 8 * motion.psf(64)
+    write_image("night.png", night, bits=16)
+    found = cep.succeeds("calibrate", "night.png", "--method", "point")
+    assert found["length_px"] == pytest.approx(motion.length_px, rel=0.15)
+
+
+# -- shutters -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", sorted(EXPORTERS))
+def test_export_reads_back(cep, workplace, name):
+    found = cep.succeeds("export", "code.json", "--format", name, "-o", "program.txt")
+    assert {"runs", "edges", "duration_ns", "checks", "trust"} <= set(found)
+    program = EXPORTERS[name].parse_back(Path("program.txt").read_text())
+    assert program.bits == read_code("code.json").code.bits
+    assert found["duration_ns"] == 16 * 250_000
+    assert [list(edge) for edge in program.edges] == found["edges"]
+
+
+def test_human_pages(cep, workplace):
+    """Without --json every command prints something for people, and nothing on stderr."""
+    for arguments in (
+        ["audit", "1101", "--flips", "1"],
+        ["mtf", "--linear", "5", "--code", "1101"],
+        ["simulate", "sharp.png", "--linear", "5"],
+        ["deblur", "blurred.png", "--trajectory", "trajectory.json"],
+        ["export", "1101", "--format", "csv"],
+        ["optimize", "--linear", "8", "--chips", "8", "--steps", "500", "-o", "new.json"],
+    ):
+        cep(*arguments)
+        assert (cep.code, cep.err) == (0, ""), arguments
+        assert cep.out.strip()

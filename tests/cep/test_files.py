@@ -1,0 +1,129 @@
+"""Code files, PSF files and strict JSON: what is written is read back, what is wrong is named."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.io import loadmat, savemat
+
+from cep.code import ShutterCode
+from cep.files import StoredCode, json_text, plain, read_code, read_psf, write_code, write_psf
+from cep.images import write_image
+
+
+@given(st.text("01", min_size=1, max_size=80).filter(lambda bits: "1" in bits), st.integers(1, 10**12))
+def test_a_code_survives_its_file(tmp_path_factory, bits, chip_ns):
+    path = tmp_path_factory.mktemp("code") / "code.json"
+    stored = StoredCode(ShutterCode(bits, chip_ns), {"min_mtf": 0.1}, {"seed": 3}, {"lower": 0.09})
+    write_code(path, stored)
+    assert read_code(path) == stored
+    assert json.loads(path.read_text())["schema"] == "cep.code/1"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"schema": "cep.code/2"}, r'wanted schema "cep.code/1", found .cep.code/2.'),
+        ({"schema": None}, "wanted schema"),
+        ({"bits": "10x1"}, "only 0 and 1"),
+        ({"bits": "0000"}, "all chips are closed"),
+        ({"bits": ""}, "empty"),
+        ({"bits": [1, 0]}, "must be a string"),
+        ({"bits": ...}, '"bits" is missing'),
+        ({"chip_ns": 0}, "chip_ns"),
+        ({"chip_ns": 1.5}, "chip_ns"),
+        ({"chip_ns": True}, "chip_ns"),
+        ({"chip_ns": ...}, '"chip_ns" is missing'),
+        ({"metrics": [1]}, "must be objects"),
+    ],
+)
+def test_a_wrong_code_file_is_refused_in_one_line(tmp_path, change, message):
+    document = {"schema": "cep.code/1", "bits": "1011", "chip_ns": 1000, **change}
+    path = tmp_path / "code.json"
+    path.write_text(json.dumps({key: value for key, value in document.items() if value is not ...}))
+    with pytest.raises(ValueError, match=message) as caught:
+        read_code(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", '"cep.code/1"', "\0"])
+def test_what_is_not_a_json_object_is_refused(tmp_path, text):
+    (tmp_path / "code.json").write_text(text)
+    with pytest.raises(ValueError, match=r"not a JSON file|wanted schema"):
+        read_code(tmp_path / "code.json")
+
+
+def test_json_is_strict():
+    value = {"a": float("nan"), "b": [np.inf, -np.inf, 1.5], "c": np.arange(3), "d": np.float32(0.5), 1: (True, None)}
+    assert json.loads(json_text(value)) == {
+        "a": None,
+        "b": [None, None, 1.5],
+        "c": [0, 1, 2],
+        "d": 0.5,
+        "1": [True, None],
+    }
+    assert plain(StoredCode(ShutterCode("1"))) == {
+        "code": {"bits": "1", "chip_ns": 1_000_000}, "metrics": {}, "problem": {}, "certificate": {},
+    }  # fmt: skip
+
+
+@given(arrays(np.float64, (5, 5), elements=st.floats(0, 1, width=32)).filter(lambda psf: psf.sum() > 0.01))
+def test_a_psf_survives_npy_and_mat(tmp_path_factory, psf):
+    folder = tmp_path_factory.mktemp("psf")
+    npy, mat, png = write_psf(folder, psf)
+    single = psf.astype(np.float32)
+    assert np.load(npy).dtype == np.float32
+    np.testing.assert_array_equal(read_psf(npy), single)
+    np.testing.assert_array_equal(read_psf(mat), single)
+    assert loadmat(mat)["psf"].dtype == np.float64
+    # people's version: eight bits, largest value white, orientation kept
+    shown = read_psf(png)
+    np.testing.assert_allclose(shown / shown.max(), psf / psf.max(), rtol=0, atol=0.501 / 255)
+
+
+def test_a_psf_from_somebody_elses_picture(tmp_path):
+    kernel = np.outer([0.0, 1.0, 0.5], [1.0, 0.25, 0.0])
+    write_image(tmp_path / "k.png", np.dstack([kernel] * 3), bits=16, gamma="linear")
+    np.testing.assert_allclose(read_psf(tmp_path / "k.png"), kernel / kernel.sum(), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("psf", "message"),
+    [
+        (np.zeros((3, 3)), "not all zero"),
+        (np.full((3, 3), np.nan), "finite"),
+        (-np.eye(3), "not negative"),
+        (np.ones((3, 3, 3)), "one table"),
+        (np.ones((3, 3), complex), "one table"),
+        (np.array([["a"]]), "one table"),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".npy", ".mat"])
+def test_an_impossible_psf_is_refused(tmp_path, psf, message, suffix):
+    path = tmp_path / f"psf{suffix}"
+    if suffix == ".npy":
+        np.save(path, psf)
+    else:
+        savemat(path, {"psf": psf})
+    with pytest.raises(ValueError, match=message):
+        read_psf(path)
+
+
+def test_broken_psf_files(tmp_path):
+    for name in ("a.npy", "a.mat", "a.png"):
+        with pytest.raises(FileNotFoundError):
+            read_psf(tmp_path / name)
+        for content in (b"", b"hello"):
+            (tmp_path / name).write_bytes(content)
+            with pytest.raises(ValueError, match=name):
+                read_psf(tmp_path / name)
+    np.save(tmp_path / "pickle.npy", np.array([{}], dtype=object), allow_pickle=True)
+    with pytest.raises(ValueError, match="not a NumPy array file"):
+        read_psf(tmp_path / "pickle.npy")
+    savemat(tmp_path / "other.mat", {"kernel": np.eye(3)})
+    with pytest.raises(ValueError, match=r'wanted a variable "psf", found kernel'):
+        read_psf(tmp_path / "other.mat")

@@ -1,0 +1,134 @@
+"""Figures show what they say: data, units, directions; and they leave no global state behind."""
+
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from cep.code import ShutterCode
+from cep.plots import (
+    before_after,
+    code_strips,
+    main_axis,
+    mtf_curve,
+    mtf_figure,
+    png_bytes,
+    psf_figure,
+    save,
+    trajectory_figure,
+)
+from motdiff.trajectory import Trajectory
+
+BENT = Trajectory.from_samples([[0, 0], [8, 2], [9, 9]], direction="known")
+
+
+def pixels(figure):
+    return cv2.imdecode(np.frombuffer(png_bytes(figure, dpi=60), np.uint8), cv2.IMREAD_COLOR)
+
+
+def test_the_mtf_of_a_box_is_a_sinc():
+    freq_cy_px, mtf = mtf_curve(Trajectory.straight(12.0, angle_rad=0.3), None)
+    np.testing.assert_allclose(mtf, np.abs(np.sinc(12 * freq_cy_px)), atol=1e-12)
+    coded = mtf_curve(Trajectory.straight(12.0), ShutterCode("1010"))[1]
+    assert coded[0] == pytest.approx(0.5)
+
+
+def test_the_main_axis_points_along_the_motion():
+    for angle in (0.0, 0.4, 2.0):
+        axis = main_axis(Trajectory.straight(10.0, angle_rad=angle))
+        assert abs(axis @ [np.cos(angle), np.sin(angle)]) == pytest.approx(1)
+
+
+def test_a_path_is_drawn_as_the_photo_lies():
+    """The y axis runs down, and each end of a known direction has its name."""
+    figure = trajectory_figure(np.full((40, 60), 0.2), BENT)
+    path = figure.axes[1]
+    assert path.get_ylim()[0] > path.get_ylim()[1]
+    assert path.get_xlim()[0] < path.get_xlim()[1]
+    labels = [text.get_text() for text in path.get_legend().get_texts()]
+    assert labels == ["start", "end"]
+    starts = path.collections[2].get_offsets()
+    np.testing.assert_allclose(starts[0], BENT.xy[0])
+
+
+def test_an_unknown_direction_has_no_start():
+    unknown = Trajectory.from_samples(BENT.xy)
+    labels = [
+        text.get_text() for text in trajectory_figure(np.zeros((40, 60)), unknown).axes[1].get_legend().get_texts()
+    ]
+    assert labels == ["one end", "other end"]
+
+
+def test_axes_have_units():
+    figures = [
+        trajectory_figure(np.zeros((40, 60, 3)), BENT),
+        psf_figure({"a": BENT.psf(32), "b": BENT.psf(32)}),
+        mtf_figure(BENT, {"open": None, "code": ShutterCode("1101")}, grid=17),
+        code_strips({"a": ShutterCode("1101", 500_000)}),
+    ]
+    for figure in figures:
+        labels = [axes.get_xlabel() + axes.get_ylabel() for axes in figure.axes if axes.axison]
+        assert any("px" in label or "500 us" in label for label in labels)
+
+
+def test_the_map_of_a_code_is_its_mtf():
+    figure = mtf_figure(BENT, {"open": None}, grid=17)
+    shown = figure.axes[1].images[0].get_array()
+    line = np.linspace(-0.5, 0.5, 17)
+    fx, fy = np.meshgrid(line, line)
+    np.testing.assert_allclose(shown, 20 * np.log10(np.maximum(np.abs(BENT.otf(fx, fy)), 1e-6)), atol=1e-6)
+
+
+def test_strips_show_the_bits():
+    codes = {"a": ShutterCode("110100"), "b": ShutterCode("000111")}
+    figure = code_strips(codes)
+    for axes, code in zip(figure.axes, codes.values(), strict=True):
+        np.testing.assert_array_equal(axes.images[0].get_array()[0], code.array)
+
+
+def test_before_and_after_share_one_detail():
+    rng = np.random.default_rng(0)
+    busy = np.full((200, 220), 0.5)
+    busy[120:160, 60:100] = rng.random((40, 40))
+    figure = before_after({"a": np.zeros((200, 220)), "b": busy}, zoom_px=40)
+    top, bottom = figure.axes[1], figure.axes[3]
+    assert bottom.images[0].get_array().shape[:2] == (40, 40)
+    assert np.std(bottom.images[0].get_array()) > 0.1
+    corner = top.patches[0].get_xy()
+    assert abs(corner[0] - 60) <= 10
+    assert abs(corner[1] - 120) <= 10
+
+
+@pytest.mark.parametrize("shape", [(16, 16), (20, 300), (300, 20, 3)])
+def test_any_photo_can_be_drawn(shape):
+    photo = np.random.default_rng(0).random(shape)
+    assert pixels(trajectory_figure(photo, BENT)).size
+    assert pixels(before_after({"a": photo, "b": photo})).size
+
+
+def test_the_same_figure_gives_the_same_bytes():
+    first, second = (png_bytes(code_strips({"a": ShutterCode("1101")})) for _ in range(2))
+    assert first == second
+
+
+def test_files_by_suffix(tmp_path):
+    figure = code_strips({"a": ShutterCode("1101")})
+    for name, magic in (("a.png", b"\x89PNG"), ("a.pdf", b"%PDF"), ("a.svg", b"<?xml")):
+        save(figure, tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(magic)
+    with pytest.raises(ValueError, match=r"\.png, \.pdf or \.svg"):
+        save(figure, tmp_path / "a.gif")
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_pyplot_is_never_loaded():
+    code = (
+        "import sys, numpy as np; from cep.plots import *; from cep.code import ShutterCode\n"
+        "from motdiff.trajectory import Trajectory\n"
+        "t = Trajectory.straight(5.0); png_bytes(trajectory_figure(np.zeros((20, 20)), t))\n"
+        "psf_figure({'a': t.psf(16)}); code_strips({'a': ShutterCode('11')}); mtf_figure(t, {'a': None}, grid=9)\n"
+        "assert 'matplotlib.figure' in sys.modules and 'matplotlib.pyplot' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
