@@ -17,6 +17,8 @@ __all__ = ["PmpSettings", "estimate_kernels"]
 _RATIO = math.sqrt(0.5)
 _COARSEST_PX = 5
 _DECAY = 1.1
+_SMOOTHNESS_FLOOR = 4.0
+_SMOOTHNESS_PER_VARIANCE = 1.6e5
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,11 @@ class PmpSettings:
     kappa: float = 2.0
     inner: int = 1
     keep_share: float = 0.05
+
+    @classmethod
+    def for_noise(cls, sigma: float) -> PmpSettings:
+        """Return settings whose kernel smoothness suits noise of standard deviation ``sigma``."""
+        return cls(smoothness=_SMOOTHNESS_FLOOR + _SMOOTHNESS_PER_VARIANCE * sigma**2)
 
 
 def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None = None) -> Tensor:

@@ -28,14 +28,16 @@ def gradient_power(height: int, width: int, like: Tensor) -> Tensor:
     """Half-plane power response (H, W // 2 + 1) of the two periodic first differences together."""
     fy = torch.arange(height, device=like.device, dtype=like.dtype) / height
     fx = torch.arange(width // 2 + 1, device=like.device, dtype=like.dtype) / width
-    return 4 * (torch.sin(torch.pi * fy).square()[:, None] + torch.sin(torch.pi * fx).square()[None, :])
+    power: Tensor = 4 * (torch.sin(torch.pi * fy).square()[:, None] + torch.sin(torch.pi * fx).square()[None, :])
+    return power
 
 
 def psf_to_otf(kernel: Tensor, shape: tuple[int, int]) -> Tensor:
     """Half-plane OTF (B, H, W // 2 + 1) of kernels (B, k, k) with zero displacement at ``k // 2``."""
     rows, columns = kernel.shape[-2:]
     padded = functional.pad(kernel, (0, shape[1] - columns, 0, shape[0] - rows))
-    return torch.fft.rfft2(padded.roll((-(rows // 2), -(columns // 2)), (-2, -1)))
+    otf: Tensor = torch.fft.rfft2(padded.roll((-(rows // 2), -(columns // 2)), (-2, -1)))
+    return otf
 
 
 def downsampled(photo: Tensor, factor: float) -> Tensor:
@@ -119,9 +121,8 @@ def _sampled(stack: Tensor, rows: int, columns: int, pitch: float, row0: float, 
     height, width = stack.shape[-2:]
     y = row0 + pitch * torch.arange(rows, device=stack.device, dtype=stack.dtype)
     x = column0 + pitch * torch.arange(columns, device=stack.device, dtype=stack.dtype)
-    grid = torch.stack(
-        torch.broadcast_tensors((2 * x / max(width - 1, 1) - 1)[None, :], (2 * y / max(height - 1, 1) - 1)[:, None]),
-        dim=-1,
-    )
+    across = (2 * x / max(width - 1, 1) - 1)[None, :].expand(rows, columns)
+    down = (2 * y / max(height - 1, 1) - 1)[:, None].expand(rows, columns)
+    grid = torch.stack((across, down), dim=-1)
     grid = grid[None].expand(stack.shape[0], -1, -1, -1)
     return functional.grid_sample(stack, grid, mode=mode, padding_mode="zeros", align_corners=True)

@@ -1,0 +1,166 @@
+"""Blind estimation measured: Levin's real blurs, simulated shakes, and real photos without truth.
+
+    python benchmarks/blind.py levin DIR       # .mat files with x (sharp), y (blurred), f (kernel)
+    python benchmarks/blind.py simulated DIR --gyro-trace FILE [--count 24] [--sigma 0.01]
+    python benchmarks/blind.py photos DIR -o OUT   # contact sheet of what was found
+
+Every figure comes from the estimator's own PSF (what ``cep calibrate --method pmp`` writes).
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.images import read_image, write_image
+from cep.restore import restore
+from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.pmp import PmpEstimator
+from motdiff.gyro import GyroTrace, read_gyro
+from motdiff.metrics import mnc, mnc_subpixel, psnr_up_to_shift
+from motdiff.motions import boracchi_foi, random_gyro_motion
+from motdiff.simulate import blur_valid, valid_window
+
+FloatArray = NDArray[np.float64]
+PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
+
+
+def pictures(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in PICTURES and "kernel" not in path.name)
+
+
+def estimated(photo: FloatArray) -> tuple[MotionEstimate, float]:
+    start = time.process_time()
+    estimate = PmpEstimator().estimate(photo)
+    return estimate, time.process_time() - start
+
+
+def levin(folder: Path) -> None:
+    from scipy.io import loadmat
+
+    rows = []
+    print("image            MNC int  sub-pixel  path MNC  conf   TV dB   CPU s   published: MNC   TV dB")
+    for path in sorted(folder.glob("*.mat")):
+        data = loadmat(path)
+        truth, blurred = np.rot90(data["f"], 2), np.clip(data["y"], 0, 1)
+        estimate, seconds = estimated(blurred)
+        published = folder / "pmp_kernels" / f"tvmpr_{path.stem}_kernel.png"
+        figures = [mnc(estimate.psf, truth), mnc_subpixel(estimate.psf, truth)]
+        figures += [mnc_subpixel(estimate.trajectories[0].psf(), truth), estimate.confidence]
+        figures += [restored_db(blurred, estimate.psf, data["x"]), seconds]
+        if published.exists():
+            kernel = cv2.imread(str(published), cv2.IMREAD_GRAYSCALE).astype(float)
+            kernel /= kernel.sum()
+            figures += [mnc_subpixel(kernel, truth), restored_db(blurred, kernel, data["x"])]
+        rows.append(figures)
+        print(f"{path.stem:16s}", "  ".join(f"{figure:7.3f}" for figure in figures), flush=True)
+    print(f"{'mean':16s}", "  ".join(f"{figure:7.3f}" for figure in np.mean(rows, axis=0)))
+
+
+def restored_db(blurred: FloatArray, psf: FloatArray, sharp: FloatArray) -> float:
+    return psnr_up_to_shift(restore(blurred, psf, method="tv").image, sharp)
+
+
+def simulated(folder: Path, trace_file: Path | None, count: int, sigma: float, seed: int) -> None:
+    trace = None if trace_file is None else read_gyro(trace_file)
+    rows: dict[str, list[list[float]]] = {}
+    for i, (kind, photo, psf) in enumerate(shaken(pictures(folder), trace, count, sigma, seed)):
+        estimate, seconds = estimated(photo)
+        path_mnc = mnc_subpixel(estimate.trajectories[0].psf(max(64, estimate.trajectories[0].frame_size())), psf)
+        rows.setdefault(kind, []).append(
+            [mnc(estimate.psf, psf), mnc_subpixel(estimate.psf, psf), path_mnc, estimate.confidence, seconds]
+        )
+        print(f"{i:3d} {kind:14s}", "  ".join(f"{figure:7.3f}" for figure in rows[kind][-1]), flush=True)
+    print("\nkind            MNC int  sub-pixel  path MNC  conf   CPU s   (mean; sd, min of sub-pixel)")
+    for kind, figures in rows.items():
+        table = np.array(figures)
+        means = "  ".join(f"{value:7.3f}" for value in table.mean(axis=0))
+        print(f"{kind:14s} {means}   sd {table[:, 1].std():.3f}  min {table[:, 1].min():.3f}  n {len(table)}")
+    merged = np.array([row for figures in rows.values() for row in figures])
+    for low, high in ((0, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 1.01)):
+        inside = merged[(merged[:, 3] >= low) & (merged[:, 3] < high)]
+        if len(inside):
+            good = float((inside[:, 1] >= 0.7).mean())
+            said = f"confidence {low:.2f}..{min(high, 1):.2f}: said {inside[:, 3].mean():.2f}"
+            print(f"{said}, good (sub-pixel MNC >= 0.7) {good:.2f} of {len(inside)}")
+
+
+def shaken(
+    files: list[Path], trace: GyroTrace | None, count: int, sigma: float, seed: int
+) -> Iterator[tuple[str, FloatArray, FloatArray]]:
+    """Photos with real borders and white noise: Boracchi-Foi (60 px) and gyro motions (12-36 px, 50-500 ms) in turn."""
+    for i in range(count):
+        rng = np.random.default_rng([seed, i])
+        sharp = read_image(files[(i // 2) % len(files)], gamma="linear")
+        kind = "boracchi-foi" if i % 2 == 0 or trace is None else "gyro"
+        while True:
+            if kind == "gyro":
+                motion = random_gyro_motion(
+                    trace, rng, exposure_s=rng.uniform(0.05, 0.5), extent_px=rng.uniform(12, 36)
+                )
+            else:
+                motion = boracchi_foi(rng)
+            if motion.frame_size() <= 64:
+                break
+        psf = motion.psf(65)
+        grey = sharp.mean(axis=2) if sharp.ndim == 3 else sharp
+        blurred = blur_valid(grey, psf)
+        assert blurred.shape == grey[valid_window(grey.shape, psf.shape)].shape
+        yield kind, np.clip(blurred + rng.normal(0, sigma, blurred.shape), 0, 1), psf
+
+
+def photos(folder: Path, out: Path, gamma: str) -> None:
+    strips = []
+    for path in pictures(folder):
+        photo = read_image(path, gamma=gamma)
+        estimate, seconds = estimated(photo)
+        print(
+            f"{path.name:32s} {photo.shape[1]}x{photo.shape[0]}  conf {estimate.confidence:.2f}  "
+            f"extent {estimate.trajectories[0].extent_px:5.1f} px  {seconds:5.1f} CPU-s",
+            "; ".join(estimate.warnings),
+            flush=True,
+        )
+        restored = restore(photo, estimate.psf, method="tv").image
+        psf = np.sqrt(estimate.psf / estimate.psf.max())
+        tiles = [thumbnail(photo), thumbnail(restored), cv2.resize(psf, (300, 300), interpolation=cv2.INTER_NEAREST)]
+        strips.append(np.hstack([tile if tile.ndim == 3 else np.repeat(tile[:, :, None], 3, axis=2) for tile in tiles]))
+    out.mkdir(parents=True, exist_ok=True)
+    write_image(out / "sheet.png", np.clip(np.vstack(strips), 0, 1), force=True)
+
+
+def thumbnail(photo: FloatArray) -> FloatArray:
+    """Middle 300 x 300 px, padded when smaller."""
+    rows, columns = photo.shape[:2]
+    top, left = max(0, (rows - 300) // 2), max(0, (columns - 300) // 2)
+    part = photo[top : top + 300, left : left + 300]
+    pad = [(0, 300 - part.shape[0]), (0, 300 - part.shape[1])] + [(0, 0)] * (part.ndim - 2)
+    return np.pad(np.clip(part, 0, 1), pad)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["levin", "simulated", "photos"])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--gyro-trace", type=Path)
+    parser.add_argument("--count", type=int, default=24)
+    parser.add_argument("--sigma", type=float, default=0.01)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--gamma", default="srgb")
+    parser.add_argument("-o", "--out", type=Path, default=Path("out/blind"))
+    given = parser.parse_args()
+    if given.what == "levin":
+        levin(given.folder)
+    elif given.what == "simulated":
+        simulated(given.folder, given.gyro_trace, given.count, given.sigma, given.seed)
+    else:
+        photos(given.folder, given.out, given.gamma)
+
+
+if __name__ == "__main__":
+    main()
