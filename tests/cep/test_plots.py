@@ -47,7 +47,7 @@ def test_a_path_is_drawn_as_the_photo_lies():
     path = figure.axes[1]
     assert path.get_ylim()[0] > path.get_ylim()[1]
     assert path.get_xlim()[0] < path.get_xlim()[1]
-    labels = [text.get_text() for text in path.get_legend().get_texts()]
+    labels = [text.get_text() for text in path.texts]
     assert labels == ["start", "end"]
     starts = path.collections[2].get_offsets()
     np.testing.assert_allclose(starts[0], BENT.xy[0])
@@ -55,9 +55,7 @@ def test_a_path_is_drawn_as_the_photo_lies():
 
 def test_an_unknown_direction_has_no_start():
     unknown = Trajectory.from_samples(BENT.xy)
-    labels = [
-        text.get_text() for text in trajectory_figure(np.zeros((40, 60)), unknown).axes[1].get_legend().get_texts()
-    ]
+    labels = [text.get_text() for text in trajectory_figure(np.zeros((40, 60)), unknown).axes[1].texts]
     assert labels == ["one end", "other end"]
 
 

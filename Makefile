@@ -1,0 +1,40 @@
+# Everything runs in .venv, made when missing and kept while pyproject.toml and constraints.txt stay as they are.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+OUT ?= demo
+PHOTO ?=
+
+.PHONY: help demo test lint bench clean
+
+help:
+	@echo "make demo             the whole chain on a bundled photo, to $(OUT)/report.html"
+	@echo "make demo PHOTO=path  the same on a blurred photo of your own"
+	@echo "make test             the tests"
+	@echo "make lint             ruff and strict mypy"
+	@echo "make bench            the benchmarks under benchmarks/"
+
+demo: $(READY)
+	$(BIN)/cep demo --force -o "$(OUT)" $(if $(PHOTO),--photo "$(PHOTO)")
+
+test: $(READY)
+	$(BIN)/python -m pytest -n 2
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(READY)
+	@for script in benchmarks/[a-z]*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
+
+clean:
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis build dist *.egg-info
+
+# The stamp is touched last: an interrupted installation is finished by the next make.
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11, 3.12 or 3.13 is needed, this is %d.%d: make PYTHON=python3.12 ..." % sys.version_info[:2] if not (3, 11) <= sys.version_info < (3, 14) else 0)'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt -e '.[dev]'
+	touch $(READY)

@@ -1,0 +1,1 @@
+"""The ``cep`` command: one module per command group, heavy imports inside the commands."""

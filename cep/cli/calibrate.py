@@ -1,0 +1,91 @@
+"""``cep calibrate``: one photo to the motion in it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cep.cli.console import finish, progress
+from cep.cli.options import Force, Gamma, Json, Seed
+
+__all__ = ["calibrate"]
+
+
+def calibrate(
+    image: Annotated[Path, typer.Argument(help="Blurred calibration photo: PNG, TIFF, JPEG or RAW.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder to write into; IMAGE_motion when omitted.")
+    ] = None,
+    method: Annotated[
+        str,
+        typer.Option("--method", help="pmp (blind), reference (needs --sharp), point (a small light), gyro."),
+    ] = "pmp",
+    sharp: Annotated[Path | None, typer.Option("--sharp", help="reference: a sharp photo of the same scene.")] = None,
+    gyro: Annotated[Path | None, typer.Option("--gyro", help="gyro: table of time and three rates (rad/s).")] = None,
+    focal: Annotated[float | None, typer.Option("--focal", help="gyro: focal length, px.")] = None,
+    start: Annotated[float | None, typer.Option("--start", help="gyro: opening on the recording's clock, s.")] = None,
+    exposure: Annotated[float | None, typer.Option("--exposure", help="gyro: exposure time, s.")] = None,
+    samples: Annotated[int, typer.Option("--samples", min=1, help="Motions to draw; these methods find one each.")] = 1,
+    gamma: Gamma = "srgb",
+    force: Force = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Estimate the motion in one blurred photo.
+
+    Writes trajectory.json, psf.npy, psf.mat, psf.png, map.png and preview.png.
+
+    Example: cep calibrate blurred.jpg -o motion
+    """
+    from cep.calibrate import CALIBRATION_FILES, check_texture, make_estimator, write_calibration
+    from cep.images import read_image, read_photo
+    from cep.outputs import claim_folder
+    from motdiff.gyro import read_gyro
+
+    folder = output or image.with_name(f"{image.stem}_motion")
+    claim_folder(folder, CALIBRATION_FILES, force=force)
+    photo = read_photo(image, gamma=gamma)
+    sharp_photo = None if sharp is None else read_image(sharp, gamma=gamma)
+    recording = None if gyro is None else read_gyro(gyro)
+    started = time.perf_counter()
+    try:
+        check_texture(photo.pixels)  # before anything slow is loaded
+        with progress(f"estimating the motion ({method})") as tick:
+            estimator = make_estimator(
+                method,
+                sharp=sharp_photo,
+                gyro=recording,
+                focal_px=focal,
+                start_s=start,
+                exposure_s=exposure,
+                progress=tick,
+            )
+            found = estimator.estimate(photo.pixels)
+    except ValueError as error:
+        raise ValueError(f"{image}: {error}") from None
+    seconds = time.perf_counter() - started
+    files = write_calibration(folder, found, photo.pixels, source={"image": str(image), "seed": seed}, force=force)
+    motion = found.trajectories[0]
+    warnings = [*photo.warnings, *found.warnings]
+    if samples > len(found.trajectories):
+        warnings.append(f'--samples {samples}: the method "{method}" finds one motion only')
+    result = {
+        "method": found.method,
+        "trajectory": files["trajectory.json"],
+        "psf": files["psf.npy"],
+        "length_px": motion.length_px,
+        "extent_px": motion.extent_px,
+        "direction": motion.direction,
+        "confidence": found.confidence,
+        "seconds": seconds,
+        "warnings": warnings,
+        "files": list(files.values()),
+        "details": found.details,
+    }
+    finish(result, as_json=as_json, show=lambda console: console.print(
+        f"{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, direction {motion.direction}; "
+        f"confidence {found.confidence:.2f}; {found.method}, {seconds:.1f} s"
+    ))  # fmt: skip

@@ -1,0 +1,167 @@
+"""``cep audit`` and ``cep mtf``: what codes are worth along a motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cep.cli.console import finish, progress, table
+from cep.cli.options import (
+    CameraFile,
+    ChipNs,
+    CodeSource,
+    Force,
+    Json,
+    Linear,
+    Photons,
+    ReadNoise,
+    Seed,
+    TrajectoryFile,
+    code_figures,
+    code_label,
+    load_camera,
+    load_code,
+    load_motion,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["audit", "mtf"]
+
+
+def audit(
+    code: CodeSource,
+    trajectory: TrajectoryFile = None,
+    linear: Linear = None,
+    flips: Annotated[
+        int, typer.Option("--flips", min=0, max=3, help="Look for better codes this many flips away.")
+    ] = 2,
+    chip_ns: ChipNs = None,
+    camera: CameraFile = None,
+    photons: Photons = None,
+    read_noise: ReadNoise = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Also write the result as JSON.")] = None,
+    force: Force = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Measure a code: the certified minimum of its MTF, where its zeros are, and better codes a few flips away.
+
+    Without a motion the figures are those of a straight one of 1 px a chip.
+
+    Example: cep audit 1010000111000001010000110011110111010111001001100111
+    """
+    from dataclasses import asdict
+
+    from cep.audit import better_neighbours, minimum_along, null_threshold
+    from cep.design import check_resolved, judge
+    from cep.files import json_text
+    from cep.outputs import claim
+    from motdiff.files import write_text_atomically
+    from motdiff.trajectory import Trajectory
+
+    shutter = load_code(code, chip_ns=chip_ns).code
+    noise = load_camera(camera, photons=photons, read_noise=read_noise)
+    stated = trajectory is not None or linear is not None
+    motion = load_motion(trajectory, linear).trajectory if stated else Trajectory.straight(float(shutter.chips))
+    claim([output] if output else [], force=force)
+    check_resolved(motion, shutter.chips)
+    metrics = judge(motion, shutter, camera=noise)
+    # straight motion of constant speed: the code's polynomial decides, whatever the length
+    where = None if metrics.min_chip is not None else motion
+    minimum = minimum_along(shutter, where)
+    unit = "chips" if where is None else "light-true"
+    with progress("looking at neighbours"):
+        neighbours = better_neighbours(shutter, where, flips=flips)
+    is_null = minimum.upper < null_threshold(shutter, where)
+    result = {
+        **code_figures(shutter),
+        **asdict(metrics),
+        "motion": {"length_px": motion.length_px, "direction": motion.direction},
+        "certificate": {"lower": minimum.lower, "upper": minimum.upper, "unit": unit, "method": minimum.method},
+        "lowest_at": minimum.at,
+        "null": is_null,
+        "neighbours": [{"flips": n.flips, "bits": n.code.bits, "minimum": n.minimum} for n in neighbours],
+        "seed": seed,
+        "warnings": [f"the code has a zero at {_place(minimum.at, where is None)}"] if is_null else [],
+    }
+    if output:
+        write_text_atomically(output, json_text(result))
+
+    def show(console: Console) -> None:
+        console.print(f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings: {shutter.bits}")
+        console.print(
+            f"motion: {motion.length_px:.1f} px, direction {motion.direction}" + ("" if stated else " (1 px a chip)")
+        )
+        rows = [(name, value) for name, value in asdict(metrics).items()]
+        console.print(table("", ("figure", "value"), rows))
+        what, place = ("|P|", "chips") if where is None else ("|H|", "light-true"), _place(minimum.at, where is None)
+        console.print(f"smallest {what[0]}: {minimum.lower:.6g} .. {minimum.upper:.6g} ({what[1]}) at {place}")
+        rows_near = [(", ".join(map(str, n.flips)), n.minimum, n.code.bits) for n in neighbours]
+        if rows_near:
+            console.print(table("better codes nearby", ("flip chips", "minimum", "bits"), rows_near))
+        else:
+            console.print(f"no code within {flips} flips has a larger minimum")
+
+    finish(result, as_json=as_json, show=show)
+
+
+def mtf(
+    trajectory: TrajectoryFile = None,
+    linear: Linear = None,
+    codes: Annotated[
+        list[str] | None, typer.Option("--code", help="Code to draw: bits, code.json or a name; may be repeated.")
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Figure to write: .png, .pdf or .svg.")] = Path(
+        "mtf.png"
+    ),
+    force: Force = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Draw the MTFs of codes along a motion, in one and two dimensions, beside the open shutter's.
+
+    Example: cep mtf --trajectory trajectory.json --code code.json --code raskar-52 -o mtf.png
+    """
+    from dataclasses import asdict
+
+    from cep.code import ShutterCode
+    from cep.design import check_resolved, judge
+    from cep.outputs import claim
+    from cep.plots import mtf_curve, mtf_figure, save
+
+    motion = load_motion(trajectory, linear).trajectory
+    shutters: dict[str, ShutterCode | None] = {"open shutter": None}
+    for source in codes or []:
+        label = code_label(source)
+        while label in shutters:
+            label += "'"
+        shutters[label] = load_code(source).code
+        check_resolved(motion, load_code(source).code.chips)
+    claim([output], force=force)
+    with progress("drawing"):
+        save(mtf_figure(motion, shutters), output)
+    curves = {}
+    for label, shutter in shutters.items():
+        freq_cy_px, values = mtf_curve(motion, shutter)
+        curves[label] = {
+            "bits": None if shutter is None else shutter.bits,
+            "freq_cy_px": freq_cy_px,
+            "mtf": values,
+            **asdict(judge(motion, shutter or ShutterCode("1"))),
+        }
+
+    def show(console: Console) -> None:
+        names = ("min_mtf", "noise_gain_db", "mse_db")
+        rows = [(label, *(curve[name] for name in names)) for label, curve in curves.items()]
+        console.print(table(str(output), ("code", "min MTF", "noise gain, dB", "MSE, dB"), rows))
+
+    finish({"image": output, "curves": curves, "seed": seed}, as_json=as_json, show=show)
+
+
+def _place(at: tuple[float, ...], in_chips: bool) -> str:
+    where = ", ".join(f"{value:.5f}" for value in at)
+    return f"{where} cycles per chip" if in_chips else f"({where}) cycles/px"

@@ -1,0 +1,111 @@
+"""``cep deblur``: restore a photo along a trajectory or with a PSF."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cep.cli.console import finish, progress
+from cep.cli.options import (
+    CameraFile,
+    Force,
+    Gamma,
+    Json,
+    Photons,
+    ReadNoise,
+    Seed,
+    TrajectoryFile,
+    load_camera,
+    load_code,
+    load_motion,
+)
+
+__all__ = ["deblur"]
+
+
+def deblur(
+    image: Annotated[Path, typer.Argument(help="Blurred photo, coded or not: PNG, TIFF, JPEG or RAW.")],
+    trajectory: TrajectoryFile = None,
+    code: Annotated[str | None, typer.Option("--code", help="Code of the exposure: bits, code.json or a name.")] = None,
+    psf: Annotated[
+        Path | None, typer.Option("--psf", help="Instead of a trajectory: a PSF as .npy, .mat or .png.")
+    ] = None,
+    method: Annotated[str, typer.Option("--method", help="wiener, inverse, tv, l0 or tv-ring.")] = "wiener",
+    gamma: Gamma = "srgb",
+    camera: CameraFile = None,
+    photons: Photons = None,
+    read_noise: ReadNoise = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Restored photo; IMAGE_sharp.png when omitted.")
+    ] = None,
+    force: Force = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Restore a photo; when the direction of the motion is unknown both are tried, and it is said which fits.
+
+    Example: cep deblur coded.png --trajectory trajectory.json --code code.json -o sharp.png
+    """
+    from cep.code import ShutterCode
+    from cep.design import check_resolved
+    from cep.exposure import coded_psf
+    from cep.files import read_psf
+    from cep.images import read_photo, write_image
+    from cep.outputs import claim
+    from cep.restore import METHODS, restore
+    from cep.restore.direction import test_directions
+
+    if method not in METHODS:
+        raise ValueError(f"--method: must be one of {', '.join(METHODS)}, got {method!r}")
+    if (trajectory is None) == (psf is None):
+        raise ValueError("--trajectory FILE or --psf FILE: exactly one of them is needed")
+    if psf is not None and code is not None:
+        raise ValueError("--code: goes with --trajectory; a --psf file already holds the code")
+    options = {}
+    if camera is not None or photons is not None or read_noise is not None:
+        if method != "wiener":
+            raise ValueError(f'--camera, --photons, --read-noise: only the method "wiener" uses them, not "{method}"')
+        options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
+    target = output or image.with_name(f"{image.stem}_sharp.png")
+    claim([target], force=force)
+    shutter = ShutterCode("1") if code is None else load_code(code).code
+    motion = None if trajectory is None else load_motion(trajectory, None).trajectory
+    if motion is not None:
+        check_resolved(motion, shutter.chips)
+    kernel = None if psf is None else read_psf(psf)
+    photo = read_photo(image, gamma=gamma)
+    direction, test = "given by the PSF", None
+    started = time.perf_counter()
+    with progress("restoring"):
+        if motion is not None:
+            kernel = coded_psf(motion, shutter, size=max(64, motion.frame_size()))
+            direction = motion.direction
+            if motion.direction == "unknown" and code is not None:
+                test = test_directions(photo.pixels, motion, shutter)
+                direction, kernel = test.direction, test.psf
+        assert kernel is not None
+        restored = restore(photo.pixels, kernel, method=method, **options)
+    write_image(target, restored.image, bits=photo.bits, gamma=gamma)
+    warnings = [*photo.warnings, *restored.warnings]
+    if direction == "undecidable":
+        warnings.append("the photo does not tell the direction of the motion; forward was taken")
+    result = {
+        "image": target,
+        "method": method,
+        "direction": direction,
+        "direction_confidence": None if test is None else test.confidence,
+        "direction_likelihoods": None if test is None else test.likelihoods,
+        "residual": restored.residual,
+        "unreliable_px": restored.unreliable_px,
+        "seconds": time.perf_counter() - started,
+        "seed": seed,
+        "warnings": warnings,
+    }
+    sure = "" if test is None else f" (confidence {test.confidence:.2f})"
+    finish(result, as_json=as_json, show=lambda console: console.print(
+        f"{target}: {method}, direction {direction}{sure}, residual {restored.residual:.3g} of full scale; "
+        f"the outer {restored.unreliable_px} px lean on a guess"
+    ))  # fmt: skip

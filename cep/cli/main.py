@@ -1,0 +1,74 @@
+"""The ``cep`` command itself: its table of commands, and one line instead of a traceback."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from cep.cli import calibrate, code, deblur, demo, hardware, optimize, simulate
+from cep.cli.console import FAILURE, INTERRUPTED, complain, explain
+
+__all__ = ["app", "main", "run"]
+
+app = typer.Typer(
+    name="cep",
+    help="Coded exposure: from one blurred photo to the shutter code for its motion, and back to a sharp photo.",
+    epilog="Begin with: cep demo -o demo",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+
+
+@app.callback()
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
+) -> None:
+    if version:
+        from importlib.metadata import version as installed
+
+        typer.echo(installed("coded-exposure"))
+        raise typer.Exit
+
+
+app.command("calibrate")(calibrate.calibrate)
+app.command("optimize")(optimize.optimize)
+app.command("audit")(code.audit)
+app.command("mtf")(code.mtf)
+app.command("simulate")(simulate.simulate)
+app.command("deblur")(deblur.deblur)
+app.command("export")(hardware.export)
+app.command("upload")(hardware.upload)
+app.command("demo")(demo.demo)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code: 0 done, 1 failed, 2 bad input, 130 interrupted.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command line without the program's name; that of this process when omitted.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    try:
+        outcome = app(args=given, prog_name="cep", standalone_mode=False)
+    except (KeyboardInterrupt, typer.Abort):
+        complain("interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # the reader has gone (as in cep ... | head): nothing to say, and nobody to say it to
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILURE
+    except Exception as error:
+        return explain(error)
+    return outcome if isinstance(outcome, int) else 0
+
+
+def run() -> None:
+    """Console entry point."""
+    sys.exit(main())

@@ -1,0 +1,97 @@
+"""Options that several commands share, and what they stand for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from cep.camera import Camera
+    from cep.code import ShutterCode
+    from cep.files import StoredCode
+    from motdiff.files import StoredMotion
+
+__all__ = [
+    "CameraFile", "ChipNs", "CodeSource", "Force", "Gamma", "Json", "Linear", "Photons", "ReadNoise", "Seed",
+    "TrajectoryFile", "code_figures", "code_label", "load_camera", "load_code", "load_motion",
+]  # fmt: skip
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw; the same seed, the same files.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace outputs that exist.")]
+Gamma = Annotated[str, typer.Option("--gamma", help='Curve of the file: "srgb", "linear", or an exponent as 2.2.')]
+TrajectoryFile = Annotated[
+    Path | None, typer.Option("--trajectory", help="Motion: a trajectory.json, as cep calibrate writes it.")
+]
+Linear = Annotated[float | None, typer.Option("--linear", help="Motion: straight and uniform, this many px long.")]
+CodeSource = Annotated[
+    str, typer.Argument(metavar="CODE", help="Bits as 1011..., a code.json, or the name of a published code.")
+]
+ChipNs = Annotated[int | None, typer.Option("--chip-ns", min=1, help="Chip time, ns; replaces the file's.")]
+CameraFile = Annotated[Path | None, typer.Option("--camera", help="Camera: a .json or .toml with its figures.")]
+Photons = Annotated[float | None, typer.Option("--photons", help="Camera: photo-electrons at full scale.")]
+ReadNoise = Annotated[float | None, typer.Option("--read-noise", help="Camera: read noise, electrons rms.")]
+
+
+def load_motion(trajectory: Path | None, linear: float | None) -> StoredMotion:
+    """Return the motion that ``--trajectory`` or ``--linear`` names, exactly one of them."""
+    from motdiff.files import StoredMotion, read_motion
+    from motdiff.trajectory import Trajectory
+
+    if (trajectory is None) == (linear is None):
+        raise ValueError("--trajectory FILE or --linear PX: exactly one of them is needed")
+    if trajectory is not None:
+        return read_motion(trajectory)
+    assert linear is not None
+    if not 0 < linear < 1e5:
+        raise ValueError(f"--linear: must be a length above 0 px, got {linear:g}")
+    return StoredMotion(Trajectory.straight(linear), source={"method": "linear"})
+
+
+def load_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
+    """Return the code that bits, a file, or the name of a published code stand for."""
+    from dataclasses import replace
+
+    from cep.baselines.published import published
+    from cep.code import ShutterCode
+    from cep.files import StoredCode, read_code
+
+    if source.endswith(".json") or (not source.startswith(("0", "1")) and Path(source).is_file()):
+        stored = read_code(source)
+    elif source.startswith(("0", "1")) or not source:
+        stored = StoredCode(ShutterCode(source))
+    else:
+        try:
+            stored = StoredCode(published(source).code)
+        except ValueError:
+            raise ValueError(
+                f"{source[:40]!r} is no code: give bits as 1011, a code.json file, or a published code's name "
+                "as raskar-52"
+            ) from None
+    return stored if chip_ns is None else replace(stored, code=ShutterCode(stored.code.bits, chip_ns))
+
+
+def code_label(source: str) -> str:
+    """Name a code for tables and legends: a file by its stem, long bits by their head."""
+    if source.endswith(".json"):
+        return Path(source).stem
+    return source if len(source) <= 16 else f"{source[:12]}... ({len(source)})"
+
+
+def load_camera(path: Path | None, *, photons: float | None, read_noise: float | None) -> Camera:
+    """Return the camera of ``--camera``, changed by ``--photons`` and ``--read-noise``; the standard one without."""
+    from dataclasses import replace
+
+    from cep.camera import Camera
+
+    camera = Camera() if path is None else Camera.from_file(path)
+    if photons is not None:
+        camera = replace(camera, photons_full_scale=photons)
+    return camera if read_noise is None else replace(camera, read_noise_e=read_noise)
+
+
+def code_figures(code: ShutterCode) -> dict[str, object]:
+    """Return what is known of a code without a motion, as every command's JSON names it."""
+    return {"bits": code.bits, "chips": code.chips, "open": code.open_chips, "duty": code.duty}

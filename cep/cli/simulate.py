@@ -1,0 +1,87 @@
+"""``cep simulate``: the photo that a coded or open exposure would take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cep.cli.console import finish, progress
+from cep.cli.options import (
+    CameraFile,
+    Force,
+    Gamma,
+    Json,
+    Linear,
+    Photons,
+    ReadNoise,
+    Seed,
+    TrajectoryFile,
+    load_camera,
+    load_code,
+    load_motion,
+)
+
+__all__ = ["simulate"]
+
+
+def simulate(
+    sharp: Annotated[Path, typer.Argument(help="Sharp photo of the scene: PNG, TIFF, JPEG or RAW.")],
+    trajectory: TrajectoryFile = None,
+    linear: Linear = None,
+    code: Annotated[str | None, typer.Option("--code", help="Code of the exposure; the open shutter without.")] = None,
+    camera: CameraFile = None,
+    photons: Photons = None,
+    read_noise: ReadNoise = None,
+    gamma: Gamma = "srgb",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Photo to write; SHARP_coded.png when omitted.")
+    ] = None,
+    force: Force = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Simulate the photo: motion, code, real borders, photon and read noise, quantisation.
+
+    The photo is smaller than SHARP by the reach of the motion: its borders are real. The PSF is written beside it.
+
+    Example: cep simulate sharp.png --trajectory trajectory.json --code code.json --photons 2000 -o coded.png
+    """
+    import numpy as np
+
+    from cep.camera import capture
+    from cep.code import ShutterCode
+    from cep.design import check_resolved
+    from cep.exposure import coded_psf
+    from cep.files import PSF_SUFFIXES, write_psf
+    from cep.images import read_photo, write_image
+    from cep.outputs import claim
+
+    motion = load_motion(trajectory, linear).trajectory
+    shutter = ShutterCode("1") if code is None else load_code(code).code
+    check_resolved(motion, shutter.chips)
+    noise = load_camera(camera, photons=photons, read_noise=read_noise)
+    target = output or sharp.with_name(f"{sharp.stem}_{'open' if code is None else 'coded'}.png")
+    stem = f"{target.stem}_psf"
+    claim([target, *(target.with_name(stem + suffix) for suffix in PSF_SUFFIXES)], force=force)
+    photo = read_photo(sharp, gamma=gamma)
+    with progress("exposing"):
+        # the smallest odd frame: a larger one would only cut more off the photo
+        tight = coded_psf(motion, shutter, size=motion.frame_size() | 1)
+        taken = capture(photo.pixels, tight, noise, rng=np.random.default_rng(seed))
+        psf = coded_psf(motion, shutter, size=max(64, motion.frame_size()))
+    write_image(target, taken, bits=16, gamma=gamma)
+    psf_file = write_psf(target.parent, psf, stem=stem)[0]
+    result = {
+        "image": target,
+        "psf": psf_file,
+        "duty": shutter.duty,
+        "size_px": [taken.shape[1], taken.shape[0]],
+        "camera": noise.to_dict(),
+        "seed": seed,
+        "warnings": list(photo.warnings),
+    }
+    finish(result, as_json=as_json, show=lambda console: console.print(
+        f"{target}: {taken.shape[1]} x {taken.shape[0]} px, {shutter.duty:.0%} of the light; PSF in {psf_file}"
+    ))  # fmt: skip

@@ -1,0 +1,19 @@
+"""Figures: every function returns a matplotlib Figure of its own, without pyplot, global state or windows."""
+
+from cep.plots.canvas import COLOURS, png_bytes, save
+from cep.plots.codes import code_strips, main_axis, mtf_curve, mtf_figure
+from cep.plots.motion import psf_figure, trajectory_figure
+from cep.plots.photos import before_after
+
+__all__ = [
+    "COLOURS",
+    "before_after",
+    "code_strips",
+    "main_axis",
+    "mtf_curve",
+    "mtf_figure",
+    "png_bytes",
+    "psf_figure",
+    "save",
+    "trajectory_figure",
+]

@@ -1,0 +1,84 @@
+"""The canvas under every figure: colours, figures without global state, photos on axes, files."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.outputs import new_file
+from motdiff.simulate import to_display
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["COLOURS", "LINES", "new_figure", "png_bytes", "save", "show_photo", "thumbnail"]
+
+FloatArray = NDArray[np.float64]
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Line colours that stay apart for colour-blind readers and in grey print.
+
+References
+----------
+Okabe and Ito, "Color universal design", 2008.
+"""
+
+LINES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)))
+"""Line styles, so that curves stay apart without colour."""
+
+_DPI = 144
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Make an empty figure on the Agg canvas, sizes in inches."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as FigureClass
+
+    figure = FigureClass(figsize=(width_in, height_in), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def png_bytes(figure: Figure, *, dpi: int = _DPI) -> bytes:
+    """Render a figure as PNG; the same figure gives the same bytes."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})
+    return stream.getvalue()
+
+
+def save(figure: Figure, path: Path | str) -> None:
+    """Write a figure as .png, .pdf or .svg, whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        If the name has another suffix.
+    """
+    target = Path(path)
+    if target.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise ValueError(f"{target}: figures are written as .png, .pdf or .svg")
+    with new_file(target) as temporary:
+        figure.savefig(temporary, dpi=_DPI)
+
+
+def show_photo(axes: Axes, image: FloatArray) -> None:
+    """Draw a photo, linear light 0..1, as a screen shows it and without ticks."""
+    axes.imshow(to_display(np.clip(image, 0, 1)), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def thumbnail(image: ArrayLike, longest_px: int) -> FloatArray:
+    """Shrink by whole-number box means: linear light, so the thumbnail is as bright as the photo."""
+    pixels = np.asarray(image, dtype=np.float64)
+    factor = -(-max(pixels.shape[:2]) // longest_px)
+    if factor == 1:
+        return pixels
+    rows, columns = (length // factor for length in pixels.shape[:2])
+    boxes = pixels[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor, *pixels.shape[2:])
+    return np.asarray(boxes.mean(axis=(1, 3)))

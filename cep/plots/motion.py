@@ -1,0 +1,115 @@
+"""Figures of a motion: the path over its photo, and PSFs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.plots.canvas import COLOURS, new_figure, show_photo, thumbnail
+from motdiff.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["psf_figure", "trajectory_figure"]
+
+FloatArray = NDArray[np.float64]
+
+_TIME_MAP = "cividis"
+
+
+def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = "") -> Figure:
+    """Draw the path over its photo, enlarged beside it, coloured by time.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    trajectory : Trajectory
+    title : str
+    """
+    shown = thumbnail(photo, 1600)
+    figure = new_figure(10.0, 4.6)
+    left, right = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
+    show_photo(left, shown)
+    left.set_title(title or "Photo and its motion (same scale)")
+    scale = shown.shape[1] / np.asarray(photo).shape[1]
+    centre = 0.5 * np.array([shown.shape[1] - 1, shown.shape[0] - 1])
+    on_photo = trajectory.xy * scale + centre
+    left.plot(*on_photo.T, color="white", linewidth=4.0, solid_capstyle="round")
+    left.add_collection(_coloured_by_time(on_photo, trajectory.t, width=2.2))
+
+    known = trajectory.direction == "known"
+    right.plot(*trajectory.xy.T, color="0.85", linewidth=6.0, solid_capstyle="round", zorder=1)
+    bar = right.add_collection(_coloured_by_time(trajectory.xy, trajectory.t, width=3.0))
+    even = trajectory.at(np.linspace(0, 1, 21))
+    right.scatter(*even.T, s=14, color="white", edgecolor="black", linewidth=0.7, zorder=3)
+    for fraction, label in ((0.0, "start"), (1.0, "end")) if known else ((0.0, "one end"), (1.0, "other end")):
+        point = trajectory.at(fraction)
+        marker = {"s": 64, "zorder": 4, "edgecolor": "white", "linewidth": 1.2}
+        colour = COLOURS[2] if fraction == 0 else COLOURS[1]
+        right.scatter(*point, color=colour, **marker)
+        # beside its end, away from the path's middle
+        ahead = 1 if point[0] >= 0.5 * np.ptp(trajectory.x) + trajectory.x.min() else -1
+        right.annotate(
+            label, point, (9 * ahead, 0), textcoords="offset points", ha="left" if ahead > 0 else "right", va="center",
+            color=colour, fontweight="bold", zorder=5,
+        )  # fmt: skip
+    half = 0.62 * max(trajectory.extent_px, 4.0)
+    middle = 0.5 * (trajectory.xy.min(axis=0) + trajectory.xy.max(axis=0))
+    right.set(
+        xlim=(middle[0] - half, middle[0] + half),
+        ylim=(middle[1] + half, middle[1] - half),  # y runs down, as in the photo
+        xlabel="x, px",
+        ylabel="y (down), px",
+        aspect="equal",
+        title=f"Path: {trajectory.length_px:.1f} px long, {trajectory.extent_px:.1f} px wide",
+    )
+    right.grid(color="0.92")
+    right.set_axisbelow(True)
+    note = "time, fraction of the exposure" + ("" if known else " (or reversed)")
+    figure.colorbar(bar, ax=right, label=note, shrink=0.85, pad=0.02)
+    return figure
+
+
+def psf_figure(psfs: Mapping[str, ArrayLike]) -> Figure:
+    """Draw PSFs side by side, cut to the largest one, each on its own scale and with the zero displacement marked.
+
+    Parameters
+    ----------
+    psfs : mapping of title to (S, S) array_like
+    """
+    figure = new_figure(3.6 * len(psfs) + 0.2, 3.2)
+    reach = max(_reach(psf) for psf in psfs.values()) + 2.5
+    for axes, (title, psf) in zip(np.ravel(figure.subplots(1, len(psfs))), psfs.items(), strict=True):
+        kernel = np.asarray(psf, dtype=np.float64)
+        half = kernel.shape[0] // 2
+        edges = (-half - 0.5, kernel.shape[1] - half - 0.5, kernel.shape[0] - half - 0.5, -half - 0.5)
+        drawn = axes.imshow(kernel, cmap="magma", extent=edges, interpolation="nearest")
+        axes.plot(0, 0, "+", color="white", markersize=7, markeredgewidth=0.8)
+        axes.set(title=title, xlabel="x, px", ylabel="y (down), px", xlim=(-reach, reach), ylim=(reach, -reach))
+        axes.set_facecolor("black")
+        figure.colorbar(drawn, ax=axes, shrink=0.95, label="share of the light")
+    return figure
+
+
+def _coloured_by_time(points: FloatArray, t: FloatArray, *, width: float) -> Any:
+    from matplotlib.collections import LineCollection
+
+    times = np.union1d(t, np.linspace(0, 1, 201))
+    fine = np.stack([np.interp(times, t, points[:, axis]) for axis in (0, 1)], axis=1)
+    lines = LineCollection(
+        list(np.stack([fine[:-1], fine[1:]], axis=1)), cmap=_TIME_MAP, linewidths=width, capstyle="round", zorder=2
+    )
+    lines.set_array(0.5 * (times[1:] + times[:-1]))
+    lines.set_clim(0, 1)
+    return lines
+
+
+def _reach(psf: ArrayLike) -> int:
+    """Largest displacement, px along either axis, that holds a visible share of the light."""
+    kernel = np.asarray(psf, dtype=np.float64)
+    lit = np.argwhere(kernel > 0.01 * kernel.max())
+    return int(np.abs(lit - np.array(kernel.shape) // 2).max())

@@ -1,0 +1,77 @@
+"""Figures of photos: before and after, with an enlarged detail."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.plots.canvas import COLOURS, new_figure, show_photo, thumbnail
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["before_after"]
+
+FloatArray = NDArray[np.float64]
+
+
+def before_after(images: Mapping[str, ArrayLike], *, zoom_px: int = 128) -> Figure:
+    """Draw photos side by side, and below each the same enlarged detail.
+
+    Parameters
+    ----------
+    images : mapping of title to (H, W) or (H, W, 3) array_like, linear light 0..1, about one size
+    zoom_px : int
+        Side of the detail, taken where the last image has most structure.
+    """
+    pictures = {title: np.clip(np.asarray(image, dtype=np.float64), 0, 1) for title, image in images.items()}
+    height, width = (min(image.shape[axis] for image in pictures.values()) for axis in (0, 1))
+    side = min(zoom_px, height, width)
+    row, column = _busiest(_centred(list(pictures.values())[-1], height, width), side)
+    each = 4.0
+    figure = new_figure(each * len(pictures), each * (height / width + 1.0) + 0.4)
+    grid = figure.subplots(2, len(pictures), squeeze=False, height_ratios=(height / width, 1.0))
+    for (title, image), top, bottom in zip(pictures.items(), grid[0], grid[1], strict=True):
+        cut = _centred(image, height, width)
+        show_photo(top, thumbnail(cut, 1200))
+        top.set_title(title)
+        scale = thumbnail(cut, 1200).shape[1] / width
+        corner = (column * scale, row * scale)
+        top.add_patch(_frame(corner, side * scale))
+        show_photo(bottom, cut[row : row + side, column : column + side])
+    return figure
+
+
+def _frame(corner: Sequence[float], side: float) -> Any:
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((corner[0], corner[1]), side, side, fill=False, edgecolor=COLOURS[4], linewidth=1.4)
+
+
+def _centred(image: FloatArray, height: int, width: int) -> FloatArray:
+    row, column = (image.shape[0] - height) // 2, (image.shape[1] - width) // 2
+    return image[row : row + height, column : column + width]
+
+
+def _busiest(image: FloatArray, side: int) -> tuple[int, int]:
+    """Corner of the window with most gradient, in steps of a quarter window, clear of the restoration's borders."""
+    grey = image if image.ndim == 2 else image.mean(axis=2)
+    energy = sum(np.abs(part) for part in np.gradient(grey))
+    totals = np.pad(np.cumsum(np.cumsum(energy, axis=0), axis=1), ((1, 0), (1, 0)))
+    margin = min(32, (min(grey.shape) - side) // 2)
+    step = max(1, side // 4)
+    corners = [
+        (row, column)
+        for row in range(margin, grey.shape[0] - side - margin + 1, step)
+        for column in range(margin, grey.shape[1] - side - margin + 1, step)
+    ]
+
+    def structure(corner: tuple[int, int]) -> float:
+        top, left = corner
+        bottom, right = top + side, left + side
+        return float(totals[bottom, right] - totals[top, right] - totals[bottom, left] + totals[top, left])
+
+    return max(corners, key=structure)
