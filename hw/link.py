@@ -9,16 +9,7 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 from hw.framing import FrameError, split_frames
-from hw.protocol import (
-    DeviceError,
-    Hello,
-    Op,
-    Reply,
-    decode_reply,
-    device_error,
-    encode_request,
-    unpack_hello,
-)
+from hw.protocol import DeviceError, Hello, Op, Reply, decode_reply, device_error, encode_request, unpack_hello
 
 __all__ = ["Link", "LinkError", "PortError", "SerialPort", "open_link", "open_port"]
 

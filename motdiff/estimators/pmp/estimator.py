@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from motdiff.crops import blur_differs_warning, luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
+from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
 from motdiff.estimators.pmp.score import Ranking, noise_sigma, rank_kernels
 from motdiff.metrics import mnc_subpixel
 from motdiff.tracing import trace_psf_to_trajectory
@@ -27,6 +27,7 @@ _SMALLEST_PX = 48
 _FRAME_PX = 64
 _LARGEST_EXTENT = 0.8  # of the largest start: beyond, the photo is halved and tried again
 _LEVELS = 3
+_REFINEMENTS = 3
 _SAME_MNC = 0.8
 _LOST = 0.5
 
@@ -159,13 +160,15 @@ class PmpEstimator:
         kernels = []
         for i, start in enumerate(self._starts):
             kernels.append(self._run(crops, start))
-            self._progress(0.9 * (i + 1) / len(self._starts))
-        return _Level(factor, crops, tuple(kernels), rank_kernels(crops, kernels))
+            self._progress(0.8 * (i + 1) / len(self._starts))
+        ranking = rank_kernels(crops, kernels)
+        kernels[ranking.best] = self._refined(crops, kernels[ranking.best])
+        return _Level(factor, crops, tuple(kernels), ranking)
 
     def _run(self, crops: FloatArray, start: Start) -> FloatArray:
         turned = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
         batch = torch.from_numpy(np.ascontiguousarray(turned))[None].to(self._device)
-        settings = PmpSettings.for_noise(float(np.median([noise_sigma(crop) for crop in crops])))
+        settings = PmpSettings.for_noise(_sigma(crops))
         settings = replace(settings, sparsity=start.sparsity, gradient_weight=start.gradient_weight)
         if not start.minimal_pixels:
             settings = replace(settings, intensity_weight=0.0, intensity_floor=0.0, smoothness=settings.smoothness / 2)
@@ -173,6 +176,15 @@ class PmpEstimator:
         with torch.no_grad():
             kernel = estimate_kernels(batch, size=size, settings=settings)[0].cpu().numpy()
         return np.ascontiguousarray(np.rot90(kernel, -start.quarter_turns), dtype=np.float64)
+
+    def _refined(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
+        batch = torch.from_numpy(crops.astype(np.float32))[None].to(self._device)
+        refined = torch.from_numpy(kernel.astype(np.float32))[None].to(self._device)
+        sigma = _sigma(crops)
+        with torch.no_grad():
+            for _ in range(_REFINEMENTS):
+                refined = refine_kernel(batch, refined, sigma=sigma)
+        return np.asarray(refined[0].cpu().numpy(), dtype=np.float64)
 
     def _outgrown(self, level: _Level) -> bool:
         y, x = np.nonzero(level.kernels[level.ranking.best])
@@ -223,6 +235,10 @@ def _described(level: _Level, uneven: str | None) -> MotionEstimate:
             "trajectory_psf_mnc": mnc_subpixel(psf, _psf_of(trajectories[0])),
         },
     )
+
+
+def _sigma(crops: FloatArray) -> float:
+    return float(np.median([noise_sigma(crop) for crop in crops]))
 
 
 def _psf_of(trajectory: Trajectory) -> FloatArray:

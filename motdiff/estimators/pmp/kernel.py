@@ -13,7 +13,6 @@ from motdiff.estimators.pmp.grids import fast_size, gradient_power
 __all__ = ["centred", "fit_kernel", "without_specks"]
 
 _ROUNDS = (25, 50)  # descent steps: a first fit measures the residual, the second is regularised by it
-_SMALL_SHARE = 0.05
 _SPECK_MASS = 0.1
 _SPARSITY_CAP = 0.3
 
@@ -26,6 +25,7 @@ def fit_kernel(
     ridge: float,
     smoothness: float,
     sparsity: float,
+    keep_share: float = 0.05,
 ) -> Tensor:
     r"""Kernel (B, size, size) that turns latent gradients into blurred ones: a sparse non-negative least squares.
 
@@ -44,6 +44,8 @@ def fit_kernel(
         Weights of the kernel's squared values and of its squared differences.
     sparsity : float
         Weight of its sum, in standard deviations of the noise.
+    keep_share : float
+        Values below this share of the peak are dropped.
 
     References
     ----------
@@ -83,7 +85,7 @@ def fit_kernel(
         misfit = blurred_energy - (kernel * (2 * right - applied(data, kernel))).sum(dim=(1, 2))
         variance = misfit.clamp(min=0) / (2 * crops * height * width)
     peak = kernel.amax(dim=(1, 2), keepdim=True)
-    return _normalised(torch.where(kernel < _SMALL_SHARE * peak, torch.zeros_like(kernel), kernel))
+    return _normalised(torch.where(kernel < keep_share * peak, torch.zeros_like(kernel), kernel))
 
 
 def without_specks(kernel: Tensor) -> Tensor:
