@@ -162,7 +162,7 @@ def refine_kernel(photos: Tensor, kernel: Tensor, *, sigma: float) -> Tensor:
         kernel.repeat_interleave(crops, dim=0),
         intensity_weight=0.0,
         gradient_weight=_FINE_GRADIENT_FLOOR + _FINE_GRADIENT_PER_VARIANCE * sigma**2,
-        patch_px=max(height, width),
+        patch_px=1,
         coarse=False,
         kappa=2.0,
         inner=1,

@@ -34,7 +34,7 @@ def l0_pmp_latent(
     blurred : (B, H, W) float, periodic
     kernel : (B, k, k) float, odd k, sum 1
     intensity_weight, gradient_weight : float
-        Weights of the minimal pixels and of the gradient count.
+        Weights of the minimal pixels (0: without that prior) and of the gradient count.
     patch_px : int
         Side of the patches whose minimum is shrunk, px.
     coarse : bool
@@ -62,7 +62,8 @@ def l0_pmp_latent(
     alpha = 2.0 * gradient_weight
     while alpha < _ALPHA_MAX:
         for _ in range(inner):
-            photo = _shrink_minimal_pixels(photo, intensity_weight, patch_px, soft=coarse)
+            if intensity_weight > 0:
+                photo = _shrink_minimal_pixels(photo, intensity_weight, patch_px, soft=coarse)
             gx = photo.roll(-1, -1) - photo
             gy = photo.roll(-1, -2) - photo
             keep = (gx.square() + gy.square() >= gradient_weight / alpha).to(photo.dtype)

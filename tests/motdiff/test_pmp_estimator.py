@@ -1,0 +1,117 @@
+"""The blind estimator as its users see it."""
+
+import numpy as np
+import pytest
+import torch
+
+from motdiff.estimators.pmp import PmpEstimator
+from motdiff.estimators.pmp.blind import estimate_kernels
+from motdiff.estimators.pmp.estimator import Start
+from motdiff.metrics import mnc_subpixel
+from motdiff.simulate import blur_valid
+from motdiff.trajectory import Trajectory
+
+FEW = (Start(29), Start(21, sparsity=1.0))
+
+
+def dead_leaves(side, seed):
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:side, :side]
+    image = np.full((side, side), 0.5)
+    for _ in range(side * 3):
+        radius = 3 / rng.uniform(0.05, 1)
+        cx, cy = rng.uniform(0, side, 2)
+        image[(x - cx) ** 2 + (y - cy) ** 2 < radius**2] = rng.uniform(0.05, 0.95)
+    return image
+
+
+@pytest.fixture(scope="module")
+def shaken():
+    """A blurred photo and its true PSF."""
+    t = np.linspace(0, 1, 60)
+    motion = Trajectory.from_samples(np.c_[10 * t, 6 * np.sin(2.5 * t)])
+    psf = motion.psf(25)
+    photo = blur_valid(dead_leaves(230, 1), psf)
+    return np.clip(photo + np.random.default_rng(2).normal(0, 0.005, photo.shape), 0, 1), psf
+
+
+@pytest.fixture(scope="module")
+def estimate(shaken):
+    return PmpEstimator(starts=FEW).estimate(shaken[0])
+
+
+def test_finds_the_blur_of_a_simulated_photo(shaken, estimate):
+    assert mnc_subpixel(estimate.psf, shaken[1]) > 0.85
+    best = estimate.trajectories[0]
+    assert mnc_subpixel(best.psf(), shaken[1]) > 0.75
+    assert best.direction == "unknown"
+    assert estimate.confidence > 0.5
+    assert not estimate.warnings
+
+
+def test_what_it_returns_keeps_the_conventions(estimate):
+    assert estimate.method == "pmp"
+    assert estimate.psf.shape == (64, 64)
+    assert estimate.psf.min() >= 0
+    assert estimate.psf.sum() == pytest.approx(1)
+    assert sum(estimate.weights) == pytest.approx(1)
+    y, x = np.mgrid[:64, :64] - 32
+    assert abs((estimate.psf * x).sum()) < 2
+    assert abs((estimate.psf * y).sum()) < 2
+
+
+def test_the_same_photo_gives_the_same_estimate(shaken, estimate):
+    again = PmpEstimator(starts=FEW).estimate(shaken[0])
+    np.testing.assert_array_equal(again.psf, estimate.psf)
+    assert again.confidence == estimate.confidence
+
+
+def test_colour_is_estimated_on_its_luminance(shaken, estimate):
+    colour = PmpEstimator(starts=FEW).estimate(np.repeat(shaken[0][:, :, None], 3, axis=2))
+    assert mnc_subpixel(colour.psf, estimate.psf) > 0.99
+
+
+def test_a_photo_without_a_trace_of_the_blur_is_not_believed(shaken):
+    noise = np.clip(np.random.default_rng(3).normal(0.5, 0.05, (200, 200)), 0, 1)
+    lost = PmpEstimator(starts=FEW).estimate(noise)
+    assert lost.confidence < 0.5
+    assert any("lost" in warning for warning in lost.warnings)
+
+
+def test_a_batch_gives_what_its_photos_give_alone(shaken):
+    one = torch.from_numpy(shaken[0][:160, :160].astype(np.float32))
+    two = torch.from_numpy(shaken[0][40:200, 40:200].astype(np.float32))
+    with torch.no_grad():
+        together = estimate_kernels(torch.stack([one, two])[:, None], size=21)
+        alone = [estimate_kernels(photo[None, None], size=21)[0] for photo in (one, two)]
+    for i in range(2):
+        torch.testing.assert_close(together[i], alone[i], atol=2e-3, rtol=0)
+
+
+def test_progress_rises_to_one(shaken):
+    seen = []
+    PmpEstimator(starts=FEW[:1], progress=seen.append).estimate(shaken[0])
+    assert seen == sorted(seen)
+    assert seen[-1] == 1
+
+
+@pytest.mark.parametrize(
+    ("photo", "words"),
+    [
+        (np.full((100, 100), 0.4), "constant"),
+        (np.random.default_rng(0).random((20, 300)), "at least 48 x 48"),
+        (np.full((100, 100), np.nan), "finite"),
+        (np.zeros(5), "shape"),
+    ],
+)
+def test_unusable_photos_are_refused_in_one_line(photo, words):
+    with pytest.raises(ValueError, match=words) as caught:
+        PmpEstimator(starts=FEW).estimate(photo)
+    assert "\n" not in str(caught.value)
+
+
+def test_unusable_options_are_refused():
+    with pytest.raises(ValueError, match="starts"):
+        PmpEstimator(starts=())
+    with pytest.raises(ValueError, match="crops"):
+        PmpEstimator(crops=0)

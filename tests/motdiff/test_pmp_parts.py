@@ -1,0 +1,198 @@
+"""The parts of the blind search against independent oracles: numpy FFTs, scipy labels, brute-force least squares."""
+
+import numpy as np
+import pytest
+import torch
+from scipy import ndimage, optimize, signal
+
+from motdiff.estimators.pmp import grids, kernel, latent
+from motdiff.estimators.pmp.score import noise_sigma, phase_evidence, spectral_fit
+from motdiff.simulate import blur_valid
+from motdiff.trajectory import Trajectory
+
+
+def tensor(array):
+    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
+
+
+@pytest.fixture
+def scene():
+    """Dead leaves: discs of random grey, the standard model of an image with edges at all scales."""
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[:200, :200]
+    image = np.full((200, 200), 0.5)
+    for _ in range(500):
+        radius = 3 / rng.uniform(0.05, 1)
+        cx, cy = rng.uniform(0, 200, 2)
+        image[(x - cx) ** 2 + (y - cy) ** 2 < radius**2] = rng.uniform(0.05, 0.95)
+    return image
+
+
+def curved(size=25):
+    t = np.linspace(0, 1, 60)
+    return Trajectory.from_samples(np.c_[14 * t, 8 * np.sin(2.5 * t)], t=t**1.3).psf(size)
+
+
+def test_fast_sizes_are_even_5_smooth_and_not_smaller():
+    for size in range(1, 300):
+        fast = grids.fast_size(size)
+        rest = fast
+        for prime in (2, 3, 5):
+            while rest % prime == 0:
+                rest //= prime
+        assert fast >= size
+        assert fast % 2 == 0
+        assert rest == 1
+
+
+@pytest.mark.parametrize("side", [5, 8])
+def test_otf_is_that_of_a_kernel_centred_at_half_its_side(side):
+    rng = np.random.default_rng(0)
+    psf = rng.random((side, side))
+    photo = rng.random((20, 24))
+    otf = grids.psf_to_otf(tensor(psf)[None], (20, 24))[0].numpy()
+    blurred = np.fft.irfft2(otf * np.fft.rfft2(photo), s=(20, 24))
+    expected = ndimage.convolve(photo, psf, mode="wrap", origin=0 if side % 2 else (0, 0))
+    np.testing.assert_allclose(blurred, expected, atol=2e-5)
+
+
+def test_periodic_extension_keeps_the_photo_and_joins_its_edges():
+    photo = np.random.default_rng(1).random((30, 41)).cumsum(0).cumsum(1)
+    photo /= photo.max()
+    wide = grids.periodic_extension(tensor(photo)[None], (48, 60))[0].numpy()
+    np.testing.assert_array_equal(wide[:30, :41], photo.astype(np.float32))
+    # harmonic: no value beyond those on the edges, no jump at the wrap larger than inside the strip
+    assert wide.max() <= photo.max() + 1e-5
+    assert wide.min() >= photo.min() - 1e-5
+    assert np.abs(wide[0, :41] - wide[-1, :41]).max() < 2.5 * np.abs(photo[0] - photo[-1]).max() / 18
+    inside = wide[31:47, 5:35]
+    laplacian = inside[:-2, 1:-1] + inside[2:, 1:-1] + inside[1:-1, :-2] + inside[1:-1, 2:] - 4 * inside[1:-1, 1:-1]
+    assert np.abs(laplacian).max() < 1e-4
+
+
+def test_downsampling_keeps_a_constant_and_halves_the_scale():
+    flat = grids.downsampled(torch.full((1, 40, 40), 0.3), 0.5)
+    torch.testing.assert_close(flat, torch.full_like(flat, 0.3))
+    ramp = torch.arange(64.0).expand(1, 64, 64)
+    small = grids.downsampled(ramp, 0.5)
+    torch.testing.assert_close(small.diff(dim=2), torch.full_like(small.diff(dim=2), 2.0), atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("side", [15, 21, 27])
+def test_resized_kernels_keep_their_centre_and_light(side):
+    psf = curved(19)
+    grown = grids.resized_kernel(tensor(psf)[None], 2**0.5, side)[0].numpy()
+    y, x = np.mgrid[:side, :side] - side // 2
+    assert grown.sum() == pytest.approx(1, abs=1e-5)
+    if side == 27:  # large enough to hold it all
+        cy, cx = np.mgrid[:19, :19] - 9
+        centroid = np.array([(psf * cx).sum(), (psf * cy).sum()]) * 2**0.5
+        np.testing.assert_allclose([(grown * x).sum(), (grown * y).sum()], centroid, atol=0.1)
+
+
+def test_specks_are_judged_as_by_a_label_of_connected_parts():
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        psf = rng.random((15, 15)) * (rng.random((15, 15)) < 0.3)
+        psf /= psf.sum()
+        label, count = ndimage.label(psf, structure=np.ones((3, 3)))
+        mass = ndimage.sum(psf, label, np.arange(count + 1))
+        limit = min(0.1, mass[1:].max())
+        expected = np.where((mass >= limit - 1e-7)[label] & (psf > 0), psf, 0)
+        cleaned = kernel.without_specks(tensor(psf)[None])[0].numpy()
+        np.testing.assert_allclose(cleaned, expected / expected.sum(), atol=1e-6)
+
+
+def test_centring_puts_the_centroid_within_half_a_pixel_of_the_middle():
+    psf = np.zeros((21, 21))
+    psf[3:9, 2:12] = np.random.default_rng(5).random((6, 10))
+    centred = kernel.centred(tensor(psf)[None])[0].numpy()
+    y, x = np.mgrid[:21, :21] - 10
+    assert abs((centred * x).sum()) <= 0.51
+    assert abs((centred * y).sum()) <= 0.51
+    np.testing.assert_allclose(np.sort(centred[centred > 0]), np.sort(psf[psf > 0] / psf.sum()), rtol=1e-5)
+
+
+def test_kernel_fit_finds_the_kernel_between_sharp_and_blurred_gradients(scene):
+    psf = curved(25)
+    blurred = blur_valid(scene, psf)
+    sharp = scene[12:-12, 12:-12]
+    pairs = [latent.salient_gradients(tensor(image)[None], torch.zeros(1)) for image in (sharp, blurred)]
+    with_crops = [tuple(g[None] for g in pair) for pair in pairs]
+    fitted = kernel.fit_kernel(*with_crops, size=25, ridge=1e-3, smoothness=0.0, sparsity=0.0, keep_share=0.0)
+    overlap = (fitted[0].numpy() * psf).sum() / np.linalg.norm(fitted[0]) / np.linalg.norm(psf)
+    assert overlap > 0.99
+
+
+def test_kernel_fit_solves_the_non_negative_least_squares_it_states():
+    rng = np.random.default_rng(6)
+    sharp, side, ridge, smoothness = rng.random((2, 24, 24)) - 0.5, 5, 0.4, 0.3
+    truth = np.abs(rng.random((side, side)) - 0.3)
+    blurred = [signal.fftconvolve(g, truth / truth.sum(), mode="full")[2:-2, 2:-2] for g in sharp]
+    columns = []
+    for row in range(side):
+        for column in range(side):
+            unit = np.zeros((side, side))
+            unit[row, column] = 1
+            columns.append(
+                np.concatenate([signal.fftconvolve(g, unit, mode="full")[2:-2, 2:-2].ravel() for g in sharp])
+            )
+    design = np.stack(columns, axis=1)
+    differences = []
+    padded = {}
+    for i in range(side * side):
+        unit = np.zeros((side + 2, side + 2))
+        unit[1 + i // side, 1 + i % side] = 1
+        padded[i] = np.concatenate([np.diff(unit, axis=0).ravel(), np.diff(unit, axis=1).ravel()])
+        differences.append(padded[i])
+    stacked = np.vstack([design, np.sqrt(ridge) * np.eye(side**2), np.sqrt(smoothness) * np.stack(differences, axis=1)])
+    right = np.concatenate([*(b.ravel() for b in blurred), np.zeros(len(stacked) - len(design))])
+    expected, _ = optimize.nnls(stacked, right)
+    latent_pair = tuple(tensor(g)[None, None] for g in sharp)
+    # what the frame cuts off at its edges is data that the periodic oracle has and a real photo has not: compare inside
+    blurred_pair = tuple(tensor(b)[None, None] for b in blurred)
+    fitted = kernel.fit_kernel(
+        latent_pair, blurred_pair, size=side, ridge=ridge, smoothness=smoothness, sparsity=0.0, keep_share=0.0
+    )[0].numpy()
+    expected = expected.reshape(side, side) / expected.sum()
+    assert np.abs(fitted - expected).max() < 0.1 * expected.max()
+
+
+def test_salient_gradients_keep_what_reaches_the_threshold_and_never_nothing(scene):
+    photo = tensor(scene)[None]
+    gx, gy = latent.salient_gradients(photo, torch.tensor([0.01]))
+    strength = gx**2 + gy**2
+    assert float(strength[strength > 0].min()) >= 0.01
+    gx, gy = latent.salient_gradients(photo, torch.tensor([1e6]))
+    assert int(((gx != 0) | (gy != 0)).sum()) > 0
+
+
+def test_latent_of_a_point_kernel_is_the_photo_where_every_edge_is_strong():
+    blocks = np.random.default_rng(7).permutation(64).reshape(8, 8) / 63
+    photo = tensor(np.kron(blocks, np.ones((4, 4))))[None]
+    point = torch.zeros(1, 5, 5)
+    point[0, 2, 2] = 1
+    same = latent.l0_pmp_latent(
+        photo, point, intensity_weight=0.0, gradient_weight=1e-3, patch_px=4, coarse=False, kappa=2.0, inner=1
+    )
+    assert float((same - photo).abs().max()) < 0.03
+
+
+def test_noise_is_measured_on_a_blurred_photo(scene):
+    rng = np.random.default_rng(8)
+    blurred = blur_valid(scene, curved(25))
+    for sigma in (0.005, 0.02):
+        assert noise_sigma(blurred + rng.normal(0, sigma, blurred.shape)) == pytest.approx(sigma, rel=0.15)
+
+
+def test_spectrum_and_phase_tell_the_kernel_from_lost_ones(scene):
+    psf = curved(25)
+    photo = blur_valid(scene, psf) + np.random.default_rng(9).normal(0, 0.005, (176, 176))
+    right = spectral_fit(photo, psf, sigma=0.005)
+    gaussian = np.exp(-0.5 * (np.mgrid[-12:13, -12:13] ** 2).sum(axis=0) / 9)
+    assert right > 0.5
+    assert right > spectral_fit(photo, gaussian / gaussian.sum(), sigma=0.005) + 0.2
+    assert right > spectral_fit(photo, psf.T, sigma=0.005) + 0.2
+    assert right == pytest.approx(spectral_fit(photo, psf[::-1, ::-1], sigma=0.005), abs=1e-9)  # no phase in it
+    assert phase_evidence(photo, psf, sigma=0.005) > 0.02
+    assert phase_evidence(photo, psf[::-1, ::-1], sigma=0.005) < -0.02
