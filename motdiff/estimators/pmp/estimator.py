@@ -27,7 +27,7 @@ _SMALLEST_PX = 48
 _FRAME_PX = 64
 _LARGEST_EXTENT = 0.8  # of the largest start: beyond, the photo is halved and tried again
 _LEVELS = 3
-_REFINEMENTS = 3
+_REFINEMENTS = 4
 _SAME_MNC = 0.8
 _LOST = 0.5
 
