@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage, spatial
 
-__all__ = ["Branch", "BranchGraph", "branch_graph", "drawn_pixels", "joined_parts"]
+__all__ = ["Branch", "BranchGraph", "branch_graph", "drawn_pixels"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -84,7 +84,7 @@ def branch_graph(drawn: BoolArray, *, gap_px: float = 6.0, speck_px: int = 4, sp
 
     # padded, so that lines along the frame thin like any others
     thin = np.asarray(skeletonize(_without_pinholes(np.pad(drawn, 1))), dtype=bool)[1:-1, 1:-1]
-    skeleton = joined_parts(thin, gap_px, speck_px)
+    skeleton = _joined_parts(thin, gap_px, speck_px)
     nodes, branches = _split(skeleton)
     while spurs := _spurs(nodes, branches, spur_px):
         for branch in spurs:
@@ -101,7 +101,7 @@ def _without_pinholes(drawn: BoolArray) -> BoolArray:
     return np.asarray(drawn | (area[labels] <= _PINHOLE_AREA), dtype=bool)
 
 
-def joined_parts(skeleton: BoolArray, gap_px: float, speck_px: int) -> BoolArray:
+def _joined_parts(skeleton: BoolArray, gap_px: float, speck_px: int) -> BoolArray:
     """Keep the largest part, and every part that short straight bridges can reach, with the bridges drawn."""
     labels, count = ndimage.label(skeleton, structure=_EIGHT)
     if count <= 1:

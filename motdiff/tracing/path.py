@@ -7,10 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from motdiff.tracing.dwell import checked_psf, fit_dwell
-from motdiff.rasterise import thin_path
-from motdiff.tracing.graph import branch_graph, drawn_pixels, joined_parts
-from motdiff.tracing.reorder import reordered
-from motdiff.tracing.tracker import MISSED_COST, likeliest_chain
+from motdiff.tracing.graph import BranchGraph, branch_graph, drawn_pixels
 from motdiff.tracing.trail import smoothest_trail
 from motdiff.trajectory import Trajectory
 
@@ -18,13 +15,9 @@ __all__ = ["trace_map", "trace_psf", "trace_psf_to_trajectory"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.intp]
 
 _MAP_CENTRE, _MAP_PITCH = 129.5, 4
 _MARGIN_PX = 3
-_MAP_GAP, _SPECK = 6.0, 4  # map pixels: gaps bridged, and the size of dust
-_FEWEST_PIXELS, _MOST_PIXELS = 8, 1500  # of maps tracked pixel by pixel
-_MOST_BLOCKS = 0.3  # full 2 x 2 blocks per pixel of a thin map
 _RIDGE_PX = 0.4  # scale of the ridge filter, on top of the 0.6 px of the spline that interpolates
 _SPUR_PX, _NOISY_SPUR_PX = 7.0, 12.0  # fine pixels: what a skeleton grows at blobs
 _NOISE_MEDIANS = 8.0  # ridges this far above the median response are no noise
@@ -60,11 +53,7 @@ def trace_map(hr_map: ArrayLike) -> FloatArray:
     soft = np.asarray(hr_map)
     if soft.shape != (256, 256):
         raise ValueError(f"hr_map: must be (256, 256), got shape {soft.shape}")
-    drawn = drawn_pixels(soft)
-    line = smoothest_trail(branch_graph(drawn))
-    if _is_thin(drawn):
-        line = _likelier(line, joined_parts(drawn, _MAP_GAP, _SPECK)).astype(np.float64)
-    return _in_px(line, _MAP_CENTRE)
+    return _traced(branch_graph(drawn_pixels(soft)), _MAP_CENTRE)
 
 
 def trace_psf(psf: ArrayLike) -> FloatArray:
@@ -87,7 +76,7 @@ def trace_psf(psf: ArrayLike) -> FloatArray:
     light = checked_psf(psf)
     drawn, spur_px = _ridges(light)
     centre = _MAP_PITCH * np.array([light.shape[1] // 2, light.shape[0] // 2]) + _MAP_PITCH * _MARGIN_PX
-    return _in_px(smoothest_trail(branch_graph(drawn, gap_px=_PSF_GAP_PX, spur_px=spur_px)), centre)
+    return _traced(branch_graph(drawn, gap_px=_PSF_GAP_PX, spur_px=spur_px), centre)
 
 
 def trace_psf_to_trajectory(psf: ArrayLike) -> Trajectory:
@@ -133,31 +122,8 @@ def _ridges(light: FloatArray) -> tuple[BoolArray, float]:
     return np.asarray(kept[labels], dtype=bool), spur_px
 
 
-def _is_thin(drawn: BoolArray) -> bool:
-    """Tell a map drawn one pixel wide, strands side by side allowed, from a thick or a tiny one."""
-    count = int(drawn.sum())
-    block = drawn[:-1, :-1] & drawn[1:, :-1] & drawn[:-1, 1:] & drawn[1:, 1:]
-    return _FEWEST_PIXELS <= count <= _MOST_PIXELS and int(block.sum()) <= _MOST_BLOCKS * count
-
-
-def _likelier(line: FloatArray, drawn: BoolArray) -> IntArray:
-    """Take the likelier of a chain tracked on the pixels and a line found on their skeleton, and improve its order."""
-    steps = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))]
-    fine = np.linspace(0, steps[-1], int(4 * steps[-1]) + 2)
-    walked = thin_path(np.rint(np.stack([np.interp(fine, steps, line[:, k]) for k in (0, 1)], axis=-1)).astype(np.intp))
-    walked = walked[np.r_[True, np.any(np.diff(walked, axis=0) != 0, axis=1)]]
-    found = [reordered(chain) for chain in (likeliest_chain(drawn), walked) if len(chain) > 1]
-    return min(found, key=lambda pair: pair[1] + MISSED_COST * _missed(pair[0], drawn))[0]
-
-
-def _missed(chain: IntArray, drawn: BoolArray) -> int:
-    rest = drawn.copy()
-    rest[chain[:, 1], chain[:, 0]] = False
-    return int(rest.sum())
-
-
-def _in_px(line: FloatArray, centre: float | FloatArray) -> FloatArray:
-    return (_without_stairs(line) - centre) / _MAP_PITCH
+def _traced(graph: BranchGraph, centre: float | FloatArray) -> FloatArray:
+    return (_without_stairs(smoothest_trail(graph)) - centre) / _MAP_PITCH
 
 
 def _without_stairs(points: FloatArray) -> FloatArray:

@@ -9,11 +9,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
-from motdiff.rasterise import thin_path
 from motdiff.tracing import fit_dwell, fit_dwell_to_photo, trace_map, trace_psf, trace_psf_to_trajectory
-from motdiff.tracing.pen import chain_costs, forecast, fresh_pen
-from motdiff.tracing.reorder import reordered
-from motdiff.tracing.tracker import likeliest_chain
 from motdiff.trajectory import Trajectory
 
 HR_PX = 0.25
@@ -113,54 +109,6 @@ def test_a_reversal_that_runs_its_own_pixels_again_is_followed(angle_rad):
     legs = [line(*pair) for pair in itertools.pairwise(corners)]
     truth = Trajectory.from_samples(rotated(np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]), angle_rad))
     assert ordered_distance_px(trace_map(truth.hr_map()), truth.xy) < 0.75 * HR_PX
-
-
-def chain_of(points):
-    chain = thin_path(np.rint(points).astype(int))
-    return chain[np.r_[True, np.any(np.diff(chain, axis=0) != 0, axis=1)]]
-
-
-def test_the_pen_goes_on_as_it_came():
-    codes = np.arange(8)
-    ahead = forecast(fresh_pen(np.zeros((8, 2), dtype=int), codes), np.zeros((8, 2), dtype=int), codes)
-    np.testing.assert_allclose(np.exp(ahead.log_p).sum(axis=1), 1)
-    np.testing.assert_allclose(np.exp(ahead.kick_log_p).sum(axis=1), 1)
-    np.testing.assert_array_equal(ahead.codes[codes, np.argmax(ahead.log_p, axis=1)], codes)
-    np.testing.assert_array_equal(np.argmax(ahead.kick_log_p, axis=1), (codes + 4) % 8)
-
-
-def test_a_chain_costs_the_same_alone_mirrored_or_beside_a_longer_one():
-    chain = chain_of(40 + 4 * figure_eight())
-    (alone,) = chain_costs([chain])
-    np.testing.assert_allclose(chain_costs([chain, chain[:, ::-1], -chain]), alone)
-    np.testing.assert_allclose(chain_costs([np.concatenate([chain, chain[::-1][1:]]), chain])[1], alone)
-    kinked = chain_of(np.concatenate([line((0, 0), (30, 0), 400), line((30, 0), (30, 30), 400)]))
-    assert chain_costs([kinked])[0] > chain_costs([chain_of(line((0, 0), (60, 0), 800))])[0] + 3
-
-
-def test_a_loop_run_backwards_is_turned():
-    points = np.rint(4 * loop_crossing_itself(np.radians(80)) + 128).astype(int)
-    chain = chain_of(points)
-    places = {}
-    first, again = next(
-        (places[place], i) for i, place in enumerate(map(tuple, chain.tolist())) if places.setdefault(place, i) != i
-    )
-    wrong = np.concatenate([chain[:first], chain[first : again + 1][::-1], chain[again + 1 :]])
-    (turned,), cost = reordered([wrong])
-    assert cost[0] == pytest.approx(chain_costs([turned])[0])
-    assert cost[0] < chain_costs([wrong])[0] - 3
-    assert ordered_distance_px(turned, chain, step_px=1.0) < 0.5 < ordered_distance_px(wrong, chain, step_px=1.0)
-
-
-def test_strands_side_by_side_stay_apart():
-    legs = [line((0, 0), (50, 0), 600), line((50, 0), (0, 2), 600)]  # there, and back beside itself
-    chain = chain_of(np.concatenate(legs) + 5)
-    drawn = np.zeros((20, 70), dtype=bool)
-    drawn[chain[:, 1], chain[:, 0]] = True
-    found = likeliest_chain(drawn)
-    assert np.abs(np.diff(found, axis=0)).max() == 1
-    assert drawn[found[:, 1], found[:, 0]].all()
-    assert ordered_distance_px(found, chain, step_px=1.0) < 0.5
 
 
 def test_gaps_are_bridged_and_dust_is_dropped():
