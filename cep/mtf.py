@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from typing import Any
 
@@ -17,6 +17,7 @@ from cep.minimum import min_chip, mtf_minimum
 from motdiff.trajectory import Trajectory
 
 __all__ = [
+    "HOPELESS_DB",
     "SCENE_MEAN",
     "SCENE_STD",
     "CodeMetrics",
@@ -35,6 +36,9 @@ FloatArray = NDArray[np.float64]
 
 SCENE_MEAN = 0.25  # linear light that an all-open exposure records of the reference scene: sRGB mid-tone 0.54
 SCENE_STD = 0.2
+HOPELESS_DB = 100.0
+"""Noise gains above this say that a sample met a zero, and how closely rounding let it: tables print "> 100"."""
+
 _ZERO = 1e-12  # |H| below this is rounding
 _LOWEST_CY_PX = 1 / 256  # the 1/f^2 law stops here, or its variance would be infinite
 
@@ -74,6 +78,20 @@ class CodeMetrics:
     noise_gain_db: float
     dnf_db: float
     mse_db: float
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Fields for JSON; noise gains above :data:`HOPELESS_DB` are None, which JSON writes as null."""
+        figures = asdict(self)
+        for name in ("noise_gain_db", "dnf_db"):
+            if not figures[name] <= HOPELESS_DB:
+                figures[name] = None
+        return figures
+
+    def in_words(self, name: str) -> float | str | None:
+        """One field for a table: "> 100" for a noise gain above :data:`HOPELESS_DB`."""
+        value: float | None = getattr(self, name)
+        hopeless = name in ("noise_gain_db", "dnf_db") and value is not None and not value <= HOPELESS_DB
+        return f"> {HOPELESS_DB:.0f}" if hopeless else value
 
 
 def measure(

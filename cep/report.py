@@ -28,11 +28,14 @@ class Picture:
         What it shows, and how to read it.
     alt : str
         What it shows, for readers who cannot see it.
+    name : str
+        Of a file of its own, without suffix; none when empty.
     """
 
     png: bytes
     caption: str
     alt: str
+    name: str = ""
 
     @property
     def data_uri(self) -> str:
@@ -101,11 +104,11 @@ class Report:
     colophon: str = ""
 
 
-def picture(figure: Figure, caption: str, alt: str) -> Picture:
+def picture(figure: Figure, caption: str, alt: str, *, name: str = "") -> Picture:
     """Render a matplotlib figure for a report."""
     from cep.plots import png_bytes
 
-    return Picture(png_bytes(figure), caption, alt)
+    return Picture(png_bytes(figure), caption, alt, name)
 
 
 def html(report: Report) -> str:
@@ -114,7 +117,6 @@ def html(report: Report) -> str:
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters["cell"] = _cell
-    environment.tests["figure"] = lambda value: isinstance(value, int | float) and not isinstance(value, bool)
     source = (resources.files("cep") / "templates" / "report.html.j2").read_text(encoding="utf-8")
     return environment.from_string(source).render(report=report)
 

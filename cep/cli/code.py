@@ -50,12 +50,11 @@ def audit(
 ) -> None:
     """Measure a code: the certified minimum of its MTF, where its zeros are, and better codes a few flips away.
 
-    Without a motion the figures are those of a straight one of 1 px a chip.
+    Without a motion the figures are those of a straight one of 1 px a chip. Noise gains above 100 dB, those of codes
+    with a zero, are null in JSON.
 
     Example: cep audit 1010000111000001010000110011110111010111001001100111
     """
-    from dataclasses import asdict
-
     from cep.audit import better_neighbours, minimum_along, null_threshold
     from cep.design import check_resolved, judge
     from cep.files import json_text
@@ -79,7 +78,7 @@ def audit(
     is_null = minimum.upper < null_threshold(shutter, where)
     result = {
         **code_figures(shutter),
-        **asdict(metrics),
+        **metrics.to_dict(),
         "motion": {"length_px": motion.length_px, "direction": motion.direction},
         "certificate": {"lower": minimum.lower, "upper": minimum.upper, "unit": unit, "method": minimum.method},
         "lowest_at": minimum.at,
@@ -96,7 +95,7 @@ def audit(
         console.print(
             f"motion: {motion.length_px:.1f} px, direction {motion.direction}" + ("" if stated else " (1 px a chip)")
         )
-        rows = [(name, value) for name, value in asdict(metrics).items()]
+        rows = [(name, metrics.in_words(name)) for name in metrics.to_dict()]
         console.print(table("", ("figure", "value"), rows))
         what, place = ("|P|", "chips") if where is None else ("|H|", "light-true"), _place(minimum.at, where is None)
         console.print(f"smallest {what[0]}: {minimum.lower:.6g} .. {minimum.upper:.6g} ({what[1]}) at {place}")
@@ -126,8 +125,6 @@ def mtf(
 
     Example: cep mtf --trajectory trajectory.json --code code.json --code raskar-52 -o mtf.png
     """
-    from dataclasses import asdict
-
     from cep.code import ShutterCode
     from cep.design import check_resolved, judge
     from cep.outputs import claim
@@ -144,19 +141,19 @@ def mtf(
     claim([output], force=force)
     with progress("drawing"):
         save(mtf_figure(motion, shutters), output)
-    curves = {}
+    curves, rows = {}, []
     for label, shutter in shutters.items():
         freq_cy_px, values = mtf_curve(motion, shutter)
+        metrics = judge(motion, shutter or ShutterCode("1"))
+        rows.append((label, *(metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db"))))
         curves[label] = {
             "bits": None if shutter is None else shutter.bits,
             "freq_cy_px": freq_cy_px,
             "mtf": values,
-            **asdict(judge(motion, shutter or ShutterCode("1"))),
+            **metrics.to_dict(),
         }
 
     def show(console: Console) -> None:
-        names = ("min_mtf", "noise_gain_db", "mse_db")
-        rows = [(label, *(curve[name] for name in names)) for label, curve in curves.items()]
         console.print(table(str(output), ("code", "min MTF", "noise gain, dB", "MSE, dB"), rows))
 
     finish({"image": output, "curves": curves, "seed": seed}, as_json=as_json, show=show)

@@ -59,8 +59,11 @@ def optimize(
     method: Annotated[str, typer.Option("--method", help="anneal.")] = "anneal",
     time_s: Annotated[float, typer.Option("--time", help="Time limit of the search, s.")] = 60.0,
     steps: Annotated[
-        int, typer.Option("--steps", min=1, help="Moves to try; the same seed and moves give the same code.")
-    ] = 1_000_000,
+        int | None,
+        typer.Option(
+            "--steps", min=1, help="Moves to try; the same seed and moves give the same code. As suits the motion."
+        ),
+    ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")] = Path("code.json"),
     force: Force = False,
     seed: Seed = 0,
@@ -68,19 +71,25 @@ def optimize(
 ) -> None:
     """Search the shutter code whose coded photo restores best along a motion; Ctrl-C keeps the best so far.
 
+    With --objective min-mtf, the JSON fields bound and gap say what no code of so much light can exceed, and how far
+    below it this one stays, 0..1: of min_chip for a uniform straight motion, of min_mtf for any other. They are null
+    for the other objectives. Noise gains above 100 dB, those of codes with a zero, are null too.
+
     Example: cep optimize --trajectory motion/trajectory.json --chips 40 --duty 0.4:0.6 -o code.json
     """
-    from dataclasses import asdict, replace
+    from dataclasses import replace
 
     import numpy as np
 
     from cep.audit import minimum_along
     from cep.band import uniform_length_px
+    from cep.baselines.compare import compare
     from cep.baselines.published import for_chips
-    from cep.design import baselines, check_resolved, parseval_bound
+    from cep.design import check_resolved
     from cep.files import StoredCode, write_code
     from cep.outputs import claim
-    from cep.search.anneal import anneal
+    from cep.search.anneal import anneal, standard_moves
+    from cep.search.bounds import bound
     from cep.search.problem import Scenario, SearchProblem
     from hw.device import load_profile
     from hw.program import Program
@@ -114,7 +123,7 @@ def optimize(
         found = anneal(
             searched,
             rng=np.random.default_rng(seed),
-            steps=steps,
+            steps=steps or standard_moves(searched),
             time_s=time_s,
             start=known,
             progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"),
@@ -123,10 +132,12 @@ def optimize(
     problems = profile.check(Program.from_bits(code.bits, chip_ns=chip_ns)) if profile else ()
     if problems:
         raise ValueError(f"no code was found that the device can play: {'; '.join(problems)}")
-    others = baselines(problem, code, rng=np.random.default_rng([seed, 1]))
-    metrics = problem.measure(code)
+    ours, *others = compare(problem, code, rng=np.random.default_rng([seed, 1]))
+    metrics = ours.metrics
     minimum = minimum_along(code, None if straight else _as_designed(motion, direction))
-    bound = parseval_bound(problem) if problem.objective == "min-mtf" else None
+    limit, reached = None, metrics.min_chip if straight else metrics.min_mtf
+    if problem.objective == "min-mtf":
+        limit = bound(problem).min_chip if straight else bound(problem).min_mtf
     certificate = {
         "unit": "chips" if straight else "light-true",
         "lower": minimum.lower,
@@ -150,22 +161,22 @@ def optimize(
         "steps": found.steps,
         "seed": seed,
     }
-    write_code(output, StoredCode(code, asdict(metrics), described, certificate))
+    write_code(output, StoredCode(code, metrics.to_dict(), described, certificate))
     warnings = ["the search was stopped early, this is the best code so far"] if found.interrupted else []
     result = {
         "file": output,
         **code_figures(code),
         "chip_ns": chip_ns,
-        **asdict(metrics),
+        **metrics.to_dict(),
         "objective": found.objective,
         "certificate": certificate,
-        "bound": bound,
-        "gap": None if bound is None or metrics.min_chip is None else 1 - metrics.min_chip / bound,
+        "bound": limit,
+        "gap": None if limit is None or reached is None else 1 - reached / limit,
         "seconds": found.seconds,
         "steps": found.steps,
         "interrupted": found.interrupted,
         "baselines": {
-            item.name: {"bits": item.code.bits, "open": item.code.open_chips, **asdict(item.metrics)} for item in others
+            row.name: {"bits": row.code.bits, "open": row.code.open_chips, **row.metrics.to_dict()} for row in others
         },
         "seed": seed,
         "warnings": warnings,
@@ -175,12 +186,20 @@ def optimize(
         console.print(f"{output}: {code.bits}")
         console.print(f"{code.open_chips} of {chips} chips open, {code.pulses} openings, {found.seconds:.1f} s")
         columns = ("code", "open", "min |P|, chips" if straight else "min MTF", "noise gain, dB", "MSE, dB")
-        everything = [("this code", code, metrics), *((item.name, item.code, item.metrics) for item in others)]
+        lowest = "min_chip" if straight else "min_mtf"
         rows = [
-            (name, one.open_chips, m.min_chip if straight else m.min_mtf, m.noise_gain_db, m.mse_db)
-            for name, one, m in everything
+            (
+                row.name,
+                row.code.open_chips,
+                *(row.metrics.in_words(name) for name in (lowest, "noise_gain_db", "mse_db")),
+            )
+            for row in (ours, *others)
         ]
         console.print(table("compared on this motion (worse direction where unknown)", columns, rows))
+        if limit is not None and reached is not None:
+            console.print(
+                f"no code with so many open chips exceeds {limit:.4g}: this one has {reached / limit:.0%} of it"
+            )
 
     finish(result, as_json=as_json, show=show)
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 
 from cep.calibrate import CALIBRATION_FILES, write_calibration
 from cep.demo.chain import Chain
-from cep.demo.page import demo_report
+from cep.demo.page import DEMO_PICTURES, demo_report
 from cep.files import StoredCode, json_text, write_code
 from cep.images import write_image
 from cep.outputs import new_folder
-from cep.plots import before_after, mtf_figure, save
 from cep.report import write_report
 from hw.export import EXPORTERS
 from hw.program import Program
@@ -23,7 +21,8 @@ __all__ = ["DEMO_FILES", "write_demo"]
 _PHOTOS = {"blurred.png": "scene", "coded.png": "coded", "restored_open.png": "open", "restored_coded.png": "restored"}
 _PROGRAMS = {f"shutter_code{module.suffix}": module for module in EXPORTERS.values()}
 DEMO_FILES = (
-    "report.html", "demo.json", "code.json", "mtf.png", "photos.png", *_PHOTOS, *_PROGRAMS, *CALIBRATION_FILES
+    "report.html", "demo.json", "code.json", *(f"{name}.png" for name in DEMO_PICTURES), *_PHOTOS, *_PROGRAMS,
+    *CALIBRATION_FILES,
 )  # fmt: skip
 """What :func:`write_demo` writes."""
 
@@ -57,7 +56,7 @@ def write_demo(folder: Path | str, chain: Chain, *, force: bool = False) -> Mapp
         "length_px": chain.motion.length_px,
         "confidence": chain.estimate.confidence,
         "bits": chain.code.bits,
-        "metrics": asdict(chain.metrics),
+        "metrics": chain.metrics.to_dict(),
         "psnr_db": {shot.name: shot.psnr_db for shot in chain.shots},
         "gain_db": coded_shot.psnr_db - open_shot.psnr_db,
         "expected_psnr_db": dict(chain.expected_db),
@@ -70,7 +69,7 @@ def write_demo(folder: Path | str, chain: Chain, *, force: bool = False) -> Mapp
     with new_folder(target, DEMO_FILES, force=force) as made:
         source = {"image": chain.scene.name, "seed": chain.seed}
         write_calibration(made, chain.estimate, chain.scene.photo, source=source)
-        stored = StoredCode(chain.code, asdict(chain.metrics), {"objective": "mse", "chips": chain.code.chips})
+        stored = StoredCode(chain.code, chain.metrics.to_dict(), {"objective": "mse", "chips": chain.code.chips})
         write_code(made / "code.json", stored)
         for name, module in _PROGRAMS.items():
             text = module.export(program)
@@ -81,9 +80,9 @@ def write_demo(folder: Path | str, chain: Chain, *, force: bool = False) -> Mapp
         write_image(made / "coded.png", coded_shot.photo, bits=16)
         write_image(made / "restored_open.png", open_shot.restored)
         write_image(made / "restored_coded.png", coded_shot.restored)
-        save(mtf_figure(chain.motion, {"open shutter": None, "this code": chain.code}), made / "mtf.png")
-        pictures = {"open shutter": open_shot.restored, "coded": coded_shot.restored, "scene at rest": chain.reference}
-        save(before_after(pictures), made / "photos.png")
-        write_report(made / "report.html", demo_report(chain))
+        report = demo_report(chain)
+        for shown in (shown for section in report.sections for shown in section.pictures if shown.name):
+            (made / f"{shown.name}.png").write_bytes(shown.png)
+        write_report(made / "report.html", report)
         write_text_atomically(made / "demo.json", json_text(figures))
     return figures

@@ -47,7 +47,8 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 def png_bytes(figure: Figure, *, dpi: int = _DPI) -> bytes:
     """Render a figure as PNG; the same figure gives the same bytes."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})
+    # the lowest compression takes half the time and an eighth more bytes
+    figure.savefig(stream, format="png", dpi=dpi, metadata={"Software": None}, pil_kwargs={"compress_level": 1})
     return stream.getvalue()
 
 

@@ -18,19 +18,22 @@ __all__ = ["before_after"]
 FloatArray = NDArray[np.float64]
 
 
-def before_after(images: Mapping[str, ArrayLike], *, zoom_px: int = 128) -> Figure:
+def before_after(images: Mapping[str, ArrayLike], *, zoom_px: int = 128, detail_of: ArrayLike | None = None) -> Figure:
     """Draw photos side by side, and below each the same enlarged detail.
 
     Parameters
     ----------
     images : mapping of title to (H, W) or (H, W, 3) array_like, linear light 0..1, about one size
     zoom_px : int
-        Side of the detail, taken where the last image has most structure.
+        Side of the detail.
+    detail_of : array_like, optional
+        Image that chooses the detail, where it has most structure; the last one when omitted.
     """
     pictures = {title: np.clip(np.asarray(image, dtype=np.float64), 0, 1) for title, image in images.items()}
     height, width = (min(image.shape[axis] for image in pictures.values()) for axis in (0, 1))
     side = min(zoom_px, height, width)
-    row, column = _busiest(_centred(list(pictures.values())[-1], height, width), side)
+    chooser = list(pictures.values())[-1] if detail_of is None else np.asarray(detail_of, dtype=np.float64)
+    row, column = _busiest(_centred(chooser, height, width), side)
     each = 4.0
     figure = new_figure(each * len(pictures), each * (height / width + 1.0) + 0.4)
     grid = figure.subplots(2, len(pictures), squeeze=False, height_ratios=(height / width, 1.0))

@@ -1,4 +1,4 @@
-"""Simulated annealing over flips and swaps of chips, many chains at once, with a polish on the continuum."""
+"""Search of a code: annealing over flips and swaps, many chains at once; tabu walks; a polish on the continuum."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ from cep.mtf import CodeMetrics
 from cep.search.moves import propose
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
+from cep.search.tabu import TabuWalk, fits
 
-__all__ = ["SearchResult", "anneal"]
+__all__ = ["SearchResult", "anneal", "standard_moves"]
 
 Progress = Callable[[float, ShutterCode], None]
 _SEARCH_OVERSAMPLING = 8  # coarse: the polish judges on 64 and the continuum
-_HOT_DB, _COLD_DB = 0.3, 0.05
+_HOT_DB = {"min-mtf": 0.3, "noise": 0.3, "flatness": 0.1, "mse": 0.1}  # as their single moves differ: docs/decisions.md
+_COOLING = 6.0  # hottest over coldest
 _ROUND = 3000  # moves per chain from hot to cold
 _CHECK = 64  # moves between looks at the clock
 _ELITES = 24
+_MOVES, _MOVES_WALKING = 1_000_000, 5_000_000  # a walk judges a move in a tenth of the time
 _HOPEFUL = 8  # neighbours judged on the continuum in a step of the polish
 _BATCH = 2**21  # numbers evaluated at once in it: 16 MB
 
@@ -121,12 +124,22 @@ def anneal(
     def fraction() -> float:
         return max((time.monotonic() - began) / time_s, 0.0 if steps is None else done / steps)
 
+    def judge(codes: NDArray[np.int8]) -> None:
+        elites.offer(codes, coarse.cost_of(codes))
+
+    walks: TabuWalk | None = None
     try:
         while not interrupted and (steps is None or done < steps):
-            rounds = _ROUND if steps is None else min(_ROUND, -(-(steps - done) // chains))
-            codes = _starts(problem, elites, chains, rng, fresh=done == 0)
-            for tried in _round(problem, coarse, codes, rounds, elites, rng):
-                done += tried * chains
+            # walks go further from what a first round has annealed, where their neighbourhoods are affordable
+            if done and fits(coarse):
+                walks = walks or TabuWalk(coarse, elites.ranked()[:1])
+                tries = walks.walk(rng, judge)
+            else:
+                rounds = _ROUND if steps is None else min(_ROUND, -(-(steps - done) // chains))
+                codes = _starts(problem, elites, chains, rng, fresh=done == 0)
+                tries = (tried * chains for tried in _round(problem, coarse, codes, rounds, judge, rng))
+            for tried in tries:
+                done += tried
                 if time.monotonic() - began > time_s:
                     interrupted = steps is not None
                     raise TimeoutError
@@ -146,6 +159,11 @@ def anneal(
     return SearchResult(code, cost, problem.measure(code), time.monotonic() - began, done, interrupted)
 
 
+def standard_moves(problem: SearchProblem) -> int:
+    """Say after how many moves more rarely find a better code; more where tabu walks are affordable."""
+    return _MOVES_WALKING if fits(Objective(problem, oversampling=_SEARCH_OVERSAMPLING)) else _MOVES
+
+
 def _starts(
     problem: SearchProblem, elites: _Elites, chains: int, rng: np.random.Generator, *, fresh: bool
 ) -> NDArray[np.int8]:
@@ -162,16 +180,17 @@ def _round(
     objective: Objective,
     codes: NDArray[np.int8],
     moves: int,
-    elites: _Elites,
+    judge: Callable[[NDArray[np.int8]], None],
     rng: np.random.Generator,
 ) -> Iterable[int]:
     """Cool all chains once from hot to cold; yields the moves made since the last look at the clock."""
     otf = objective.otf(codes)
     cost = objective.cost(otf, codes.sum(axis=1, dtype=np.intp), soft=True)
     best_codes, best = codes.copy(), cost.copy()
+    hot_db = sum(weight * _HOT_DB[name] for name, weight in problem.objective_mix)
     made = 0
     for move in range(moves):
-        temperature = _HOT_DB * (_COLD_DB / _HOT_DB) ** (move / max(1, moves - 1))
+        temperature = hot_db * _COOLING ** (-move / max(1, moves - 1))
         change = propose(problem, codes, rng=rng)
         trial_otf = change.applied(otf, objective.basis)
         trial_open = codes.sum(axis=1, dtype=np.intp) + change.opened
@@ -187,7 +206,7 @@ def _round(
             otf = objective.otf(codes)
             # the soft cost leads the search, the plain one judges
             for seen in (best_codes, codes):
-                elites.offer(seen, objective.cost_of(seen))
+                judge(seen)
             yield made
             made = 0
 

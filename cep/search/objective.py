@@ -100,7 +100,13 @@ class Objective:
         reached min |P| = 1.81 on average of six seeds (1.71 to 1.92), the plain minimum 1.62 (1.54 to 1.71).
         """
         squared = otf * otf
-        power = np.maximum(squared[:, 0] + squared[:, 1], 1e-30)
+        return self.cost_of_power(squared[:, 0] + squared[:, 1], open_chips, soft=soft)
+
+    def cost_of_power(
+        self, power: RealArray, open_chips: NDArray[np.intp], *, soft: bool = False
+    ) -> NDArray[np.float64]:
+        """Cost (R,) of (R, F) squared moduli |H|^2, as :meth:`cost`."""
+        power = np.maximum(power, 1e-30)
         worst = np.full((self._shares.size, len(power)), -np.inf)
         for index, part in enumerate(self._parts):
             total = sum(

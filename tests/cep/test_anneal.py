@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.baselines.compare import compare
 from cep.baselines.published import PUBLISHED
 from cep.code import ShutterCode
 from cep.minimum import min_chip
@@ -249,19 +248,3 @@ def test_bound_holds_for_every_code(chips):
         straight = bound(SearchProblem.along(path, chips=chips, open_range=(3, 5)))
         best = max(measure(path, code, budget=0).min_mtf for code in everything)
         assert best <= straight.min_mtf <= 5 / chips + 1e-9
-
-
-def test_comparison_measures_every_baseline():
-    problem = SearchProblem.along(Trajectory.straight(11.0), chips=13, open_range=(7, 9), objective="noise")
-    code = anneal(problem, rng=np.random.default_rng(0), steps=5000).code
-    rows = {row.name: row for row in compare(problem, code, rng=np.random.default_rng(1), steps=3000)}
-    assert set(rows) == {"code", "open", "snapshot", "barker-13", "length-only", "random (median)"}
-    assert rows["open"].code == ShutterCode("1" * 13)
-    snapshot = rows["snapshot"].code
-    assert snapshot is not None
-    assert snapshot.pulses == 1
-    gains = {name: row.metrics.noise_gain_db for name, row in rows.items()}
-    assert gains["code"] <= min(gains["barker-13"], gains["random (median)"])
-    # no other single run is better by the objective
-    runs = [ShutterCode(("1" * k).ljust(13, "0")) for k in range(1, 14)]
-    assert gains["snapshot"] <= min(problem.measure(run, budget=0).noise_gain_db for run in runs) + 0.01

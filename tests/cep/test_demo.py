@@ -9,7 +9,7 @@ import pytest
 from cep.camera import Camera
 from cep.demo import DEMO_FILES, Scene, bundled_scene, demo_report, own_photo, run_chain, write_demo
 from cep.demo.chain import LIGHT_LEVELS
-from cep.demo.page import verdict
+from cep.demo.page import DEMO_PICTURES, verdict
 from cep.files import read_code
 from cep.images import read_photo
 from cep.report import html
@@ -61,6 +61,8 @@ def test_files_and_figures(chain, tmp_path):
         text = (tmp_path / "out" / f"shutter_code{suffix}").read_text()
         assert EXPORTERS[name].parse_back(text).bits == chain.code.bits
     assert read_photo(tmp_path / "out/coded.png").bits == 16
+    for name in DEMO_PICTURES:
+        assert (tmp_path / f"out/{name}.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="use --force"):
         write_demo(tmp_path / "out", chain)
     write_demo(tmp_path / "out", chain, force=True)
@@ -87,7 +89,8 @@ def test_the_verdict_names_gains_and_losses():
     assert "1,000" not in text.replace("10,000", "").replace("100,000", "")
     same = (("this code", (20.0,) * levels), ("open shutter", (20.0,) * levels), ("snapshot", (21.0,) * levels))
     assert "less than 0.1 dB" in verdict(same)
-    assert '"snapshot"' in verdict(same)
+    assert 'The "snapshot" is expected to do better than this code at 100 (+1.00 dB), 1,000 (+1.00 dB)' in verdict(same)
+    assert "better than this code" not in text
 
 
 def test_ones_own_photo_has_no_truth(chain):

@@ -5,8 +5,7 @@ import pytest
 
 from cep.camera import Camera
 from cep.code import ShutterCode
-from cep.design import baselines, check_resolved, expected_psnr_db, judge, limits_of_device, parseval_bound
-from cep.minimum import min_chip
+from cep.design import check_resolved, expected_psnr_db, judge, limits_of_device
 from cep.mtf import measure
 from cep.search.problem import SearchProblem
 from hw.device import DeviceProfile
@@ -34,19 +33,6 @@ def test_resolution_ends_at_a_quarter_pixel():
     check_resolved(Trajectory.straight(0.01), 1)
 
 
-def test_baselines_are_measured_on_the_same_problem():
-    problem = SearchProblem.along(BENT, chips=9, open_range=(3, 6))
-    compared = {item.name: item for item in baselines(problem, CODE, rng=np.random.default_rng(0))}
-    assert compared["open shutter"].code.duty == 1
-    assert compared["snapshot, same light"].code.bits == "111110000"
-    assert 3 <= compared["random, median"].code.open_chips <= 6
-    for item in compared.values():
-        assert item.metrics.mse_db == pytest.approx(problem.measure(item.code).mse_db)
-    long = SearchProblem.along(Trajectory.straight(52.0), chips=52)
-    names = {item.name for item in baselines(long, ShutterCode("10" * 26), rng=np.random.default_rng(0))}
-    assert "published: raskar-52" in names
-
-
 def test_expected_psnr_is_that_of_the_metrics():
     problem = SearchProblem.along(BENT, chips=9, objective="mse", camera=Camera())
     codes = [CODE, ShutterCode("1" * 9)]
@@ -55,15 +41,6 @@ def test_expected_psnr_is_that_of_the_metrics():
     for row, code in zip(table, codes, strict=True):
         assert -row[1] == pytest.approx(judge(BENT, code, camera=Camera()).mse_db, abs=0.02)
         assert row[1] > row[0]  # more light never hurts
-
-
-@pytest.mark.parametrize("chips", [5, 8])
-def test_the_bound_holds_for_every_code(chips):
-    problem = SearchProblem.along(Trajectory.straight(float(chips)), chips=chips, open_range=(1, 4))
-    bound = parseval_bound(problem)
-    codes = [f"{n:0{chips}b}" for n in range(1, 2**chips) if n.bit_count() <= 4]
-    assert max(min_chip(ShutterCode(bits)) for bits in codes) <= bound
-    assert parseval_bound(SearchProblem.along(BENT, chips=chips)) is None
 
 
 def test_a_devices_limits_in_chips():

@@ -1,5 +1,7 @@
 """Minimum over the continuum, noise gain, Wiener error: against closed forms, dense evaluation and published tables."""
 
+from dataclasses import asdict, replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -138,7 +140,22 @@ def test_dark_codes_pay_in_noise_gain_not_in_dnf():
 
 
 def test_noise_gain_is_infinite_on_a_zero():
-    assert measure(Trajectory.straight(32.0), ShutterCode("1")).noise_gain_db == np.inf
+    found = measure(Trajectory.straight(32.0), ShutterCode("1"))
+    assert found.noise_gain_db == np.inf
+    assert found.to_dict()["noise_gain_db"] is found.to_dict()["dnf_db"] is None
+    assert found.in_words("noise_gain_db") == "> 100"
+    assert found.in_words("mse_db") == found.mse_db
+
+
+def test_noise_gains_are_told_up_to_100_db():
+    found = measure(Trajectory.straight(3.0), ShutterCode("1101"))
+    assert found.to_dict() == asdict(found)
+    assert found.in_words("noise_gain_db") == found.noise_gain_db
+    assert found.in_words("min_chip") == found.min_chip
+    near = replace(found, noise_gain_db=100.0, dnf_db=100.001)
+    assert near.to_dict()["noise_gain_db"] == 100
+    assert near.to_dict()["dnf_db"] is None
+    assert near.in_words("dnf_db") == "> 100"
 
 
 def test_reversed_path_and_code_measure_alike():

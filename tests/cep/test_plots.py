@@ -99,6 +99,16 @@ def test_before_and_after_share_one_detail():
     assert abs(corner[1] - 120) <= 10
 
 
+def test_another_photo_may_choose_the_detail():
+    rng = np.random.default_rng(0)
+    busy = np.full((200, 220), 0.5)
+    busy[120:160, 60:100] = rng.random((40, 40))
+    figure = before_after({"a": np.zeros((200, 220)), "b": np.zeros((200, 220))}, zoom_px=40, detail_of=busy)
+    corner = figure.axes[1].patches[0].get_xy()
+    assert abs(corner[0] - 60) <= 10
+    assert abs(corner[1] - 120) <= 10
+
+
 @pytest.mark.parametrize("shape", [(16, 16), (20, 300), (300, 20, 3)])
 def test_any_photo_can_be_drawn(shape):
     photo = np.random.default_rng(0).random(shape)
