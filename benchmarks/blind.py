@@ -131,7 +131,7 @@ def photos(folder: Path, out: Path, gamma: str) -> None:
         tiles = [thumbnail(photo), thumbnail(restored), cv2.resize(psf, (300, 300), interpolation=cv2.INTER_NEAREST)]
         strips.append(np.hstack([tile if tile.ndim == 3 else np.repeat(tile[:, :, None], 3, axis=2) for tile in tiles]))
     out.mkdir(parents=True, exist_ok=True)
-    write_image(out / "sheet.png", np.clip(np.vstack(strips), 0, 1), force=True)
+    write_image(out / "sheet.png", np.clip(np.vstack(strips), 0, 1))
 
 
 def thumbnail(photo: FloatArray) -> FloatArray:
