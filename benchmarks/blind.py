@@ -1,8 +1,10 @@
 """Blind estimation measured: Levin's real blurs, simulated shakes, and real photos without truth.
 
+    python benchmarks/blind.py [simulated [DIR]] [--gyro-trace FILE] [--count 24] [--sigma 0.01]
     python benchmarks/blind.py levin DIR       # .mat files with x (sharp), y (blurred), f (kernel)
-    python benchmarks/blind.py simulated DIR --gyro-trace FILE [--count 24] [--sigma 0.01]
     python benchmarks/blind.py photos DIR -o OUT   # contact sheet of what was found
+
+Without a folder the sharp photos are scikit-image's own, and without a trace the hand shake is synthetic.
 
 Every figure comes from the estimator's own PSF (what ``cep calibrate --method pmp`` writes).
 """
@@ -16,7 +18,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from _inputs import FloatArray, smooth_trace
+from _inputs import photos as photos_of
 
 from cep.images import read_image, write_image
 from cep.restore import restore
@@ -27,7 +30,6 @@ from motdiff.metrics import mnc, mnc_subpixel, psnr_up_to_shift
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.simulate import blur_valid, valid_window
 
-FloatArray = NDArray[np.float64]
 PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
 
 
@@ -67,10 +69,11 @@ def restored_db(blurred: FloatArray, psf: FloatArray, sharp: FloatArray) -> floa
     return psnr_up_to_shift(restore(blurred, psf, method="tv").image, sharp)
 
 
-def simulated(folder: Path, trace_file: Path | None, count: int, sigma: float, seed: int) -> None:
-    trace = None if trace_file is None else read_gyro(trace_file)
+def simulated(folder: Path | None, trace_file: Path | None, count: int, sigma: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    trace = smooth_trace(rng, duration_s=60.0, rate_hz=200.0) if trace_file is None else read_gyro(trace_file)
     rows: dict[str, list[list[float]]] = {}
-    for i, (kind, photo, psf) in enumerate(shaken(pictures(folder), trace, count, sigma, seed)):
+    for i, (kind, photo, psf) in enumerate(shaken(sharp_photos(folder), trace, count, sigma, seed)):
         estimate, seconds = estimated(photo)
         path_mnc = mnc_subpixel(estimate.trajectories[0].psf(max(64, estimate.trajectories[0].frame_size())), psf)
         rows.setdefault(kind, []).append(
@@ -91,14 +94,20 @@ def simulated(folder: Path, trace_file: Path | None, count: int, sigma: float, s
             print(f"{said}, good (sub-pixel MNC >= 0.7) {good:.2f} of {len(inside)}")
 
 
+def sharp_photos(folder: Path | None) -> list[FloatArray]:
+    if folder is None:
+        return [image for _, image in photos_of(None)]
+    return [read_image(path, gamma="linear") for path in pictures(folder)]  # code values as light, as the field does
+
+
 def shaken(
-    files: list[Path], trace: GyroTrace | None, count: int, sigma: float, seed: int
+    scenes: list[FloatArray], trace: GyroTrace, count: int, sigma: float, seed: int
 ) -> Iterator[tuple[str, FloatArray, FloatArray]]:
     """Photos with real borders and white noise: Boracchi-Foi (60 px) and gyro motions (12-36 px, 50-500 ms) in turn."""
     for i in range(count):
         rng = np.random.default_rng([seed, i])
-        sharp = read_image(files[(i // 2) % len(files)], gamma="linear")
-        kind = "boracchi-foi" if i % 2 == 0 or trace is None else "gyro"
+        sharp = scenes[(i // 2) % len(scenes)]
+        kind = "boracchi-foi" if i % 2 == 0 else "gyro"
         while True:
             if kind == "gyro":
                 motion = random_gyro_motion(
@@ -145,8 +154,8 @@ def thumbnail(photo: FloatArray) -> FloatArray:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["levin", "simulated", "photos"])
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("what", choices=["simulated", "levin", "photos"], nargs="?", default="simulated")
+    parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--gyro-trace", type=Path)
     parser.add_argument("--count", type=int, default=24)
     parser.add_argument("--sigma", type=float, default=0.01)
@@ -154,6 +163,8 @@ def main() -> None:
     parser.add_argument("--gamma", default="srgb")
     parser.add_argument("-o", "--out", type=Path, default=Path("out/blind"))
     given = parser.parse_args()
+    if given.folder is None and given.what != "simulated":
+        parser.error(f"{given.what} needs a folder")
     if given.what == "levin":
         levin(given.folder)
     elif given.what == "simulated":

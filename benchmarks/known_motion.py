@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from _inputs import photos, smooth_trace
 from scipy import ndimage
 
 from motdiff.estimators.gyro import GyroEstimator
@@ -22,34 +22,10 @@ from motdiff.estimators.reference import ReferenceEstimator
 from motdiff.gyro import GyroTrace, read_gyro, trajectory_from_gyro
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, random_gyro_motion
-from motdiff.simulate import photograph, to_linear
-
-FloatArray = NDArray[np.float64]
+from motdiff.simulate import photograph
 
 MISREGISTRATION_PX = 1.5
 SIGMA = 0.01
-BUNDLED = ("camera", "astronaut", "coffee", "chelsea", "brick", "coins", "page", "moon")
-
-
-def photos(folder: Path | None) -> list[tuple[str, FloatArray]]:
-    import cv2
-
-    if folder is None:
-        from skimage import data
-
-        return [(name, to_linear(getattr(data, name)() / 255.0)) for name in BUNDLED]
-    paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in {".png", ".jpg", ".jpeg", ".tif", ".bmp"})
-    images = [(p.name, cv2.imread(str(p), cv2.IMREAD_COLOR)) for p in paths]
-    return [(name, to_linear(image[..., ::-1] / 255.0)) for name, image in images if image is not None]
-
-
-def smooth_trace(rng: np.random.Generator, *, duration_s: float, rate_hz: float) -> GyroTrace:
-    """Hand-like angular rates: band-limited noise, 1 to 12 Hz, about 0.1 rad/s."""
-    count = round(duration_s * rate_hz)
-    freq_hz = np.fft.rfftfreq(count, 1 / rate_hz)
-    spectrum = rng.standard_normal((2, 3, freq_hz.size)) * np.exp(-freq_hz / 4) * (freq_hz > 0.5)
-    rate = np.fft.irfft(spectrum[0] + 1j * spectrum[1], count, axis=1).T
-    return GyroTrace(np.arange(count) / rate_hz, 0.1 * rate / rate.std(axis=0))
 
 
 def spread(values: list[float]) -> str:

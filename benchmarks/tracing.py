@@ -11,7 +11,8 @@ import argparse
 import time
 
 import numpy as np
-from scipy import ndimage, spatial
+from _inputs import smooth_trace
+from scipy import spatial
 
 from motdiff.gyro import GyroTrace, read_gyro
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
@@ -23,13 +24,6 @@ HR_PX = 0.25
 EXPOSURES_S = (0.05, 0.1, 0.25, 0.5)
 FRAME = 96  # holds a 24-px motion wherever its centroid lies
 NOISE = 0.05  # of the PSF's maximum
-
-
-def synthetic_trace(rng: np.random.Generator, *, duration_s: float = 120.0, rate_hz: float = 200.0) -> GyroTrace:
-    """Angular rates with most of their power below 5 Hz, as hand shake has."""
-    samples = int(duration_s * rate_hz)
-    rates = ndimage.gaussian_filter1d(rng.standard_normal((samples, 3)), rate_hz / 40, axis=0)
-    return GyroTrace(np.arange(samples) / rate_hz, 0.1 * rates / rates.std())
 
 
 def draws_the_same(path: np.ndarray, hr_map: np.ndarray) -> bool:
@@ -118,7 +112,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     order_table(options.maps, options.seed)
-    trace = read_gyro(options.gyro) if options.gyro else synthetic_trace(np.random.default_rng(options.seed))
+    trace = (
+        read_gyro(options.gyro)
+        if options.gyro
+        else smooth_trace(np.random.default_rng(options.seed), duration_s=120.0, rate_hz=200.0)
+    )
     dwell_table(options.motions, trace, options.seed)
 
 
