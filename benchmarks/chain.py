@@ -100,14 +100,15 @@ def main() -> None:
             found, chips=options.chips, objective=options.objective, direction="unknown", open_range=light_range
         )
         code: ShutterCode = anneal(problem, rng=search_rng, time_s=options.seconds).code
+        frame = max(PSF_SIZE, found.frame_size(), found.reversed().frame_size())  # a lost estimate can be large
         true_psf, flash = coded_psf(path, code, PSF_SIZE), snapshot_psf(path)
-        ways = [coded_psf(p, code, PSF_SIZE) for p in (found, found.reversed())]
+        ways = [coded_psf(p, code, frame) for p in (found, found.reversed())]
         if mnc_subpixel(ways[1], true_psf) > mnc_subpixel(ways[0], true_psf):
             ways.reverse()  # an estimate may run backwards; the first is now the right one
         overview["duty"].append(code.duty)
         overview["pulses"].append(float(code.pulses))
         overview["snapshot"].append(float(flash.sum()))
-        overview["mnc"].append(mnc_subpixel(found.psf(PSF_SIZE), open_psf))
+        overview["mnc"].append(mnc_subpixel(found.psf(frame), open_psf))
         for level in LIGHT:
             # a raw file's pedestal of 6 sigma: without it, clipped read noise would brighten the darkest photos
             camera = Camera(photons_full_scale=level, black_level=min(1.0, 6 * READ_NOISE_E / level))
@@ -115,7 +116,7 @@ def main() -> None:
             tested = compare_psfs(coded, *ways)
             scores = {}
             for name, photo, psf in (
-                ("uncoded", capture(sharp, open_psf, camera, rng=rng), found.psf(PSF_SIZE)),
+                ("uncoded", capture(sharp, open_psf, camera, rng=rng), found.psf(frame)),
                 ("coded", coded, ways[0]),
                 ("tested", coded, tested.psf),
                 ("snapshot", capture(sharp, flash, camera, rng=rng), flash),

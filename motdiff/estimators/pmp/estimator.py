@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -30,6 +32,7 @@ _LEVELS = 3
 _REFINEMENTS = 4
 _SAME_MNC = 0.8
 _LOST = 0.5
+_CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
 
 
 @dataclass(frozen=True)
@@ -139,7 +142,7 @@ class PmpEstimator:
             factor = level.factor * 2
             smaller = cv2.resize(grey, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
             coarser = self._level(np.asarray(smaller, dtype=np.float64), factor)
-            if coarser.ranking.confidence <= level.ranking.confidence:
+            if coarser.ranking.confidence < max(_LOST, level.ranking.confidence + _CLEARLY):
                 break
             level = coarser
         estimate = _described(level, self._one_blur(level))
@@ -151,13 +154,34 @@ class PmpEstimator:
         whole = max(grey.shape) <= 1.25 * _CROP_PX
         corners = [(0, 0)] if whole else pick_crops(grey, size=size, count=self._crops)
         crops = np.stack([grey if whole else grey[r : r + size, c : c + size] for r, c in corners])
-        kernels = []
-        for i, start in enumerate(self._starts):
-            kernels.append(self._run(crops, start))
-            self._progress(0.8 * (i + 1) / len(self._starts))
+        kernels = self._run_all([(crops, start) for start in self._starts], self._tell)
         ranking = rank_kernels(crops, kernels)
         kernels[ranking.best] = self._refined(crops, kernels[ranking.best])
         return _Level(factor, crops, tuple(kernels), ranking)
+
+    def _tell(self, finished: int) -> None:
+        self._progress(0.8 * finished / len(self._starts))
+
+    def _run_all(
+        self, jobs: list[tuple[FloatArray, Start]], tell: Callable[[int], None] = lambda _finished: None
+    ) -> list[FloatArray]:
+        """Run the searches side by side, one thread each: their arrays are too small to share one."""
+        workers = min(len(jobs), os.cpu_count() or 1) if self._device == "cpu" else 1
+        threads = torch.get_num_threads()
+        kernels = []
+        try:
+            with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+                runs = [pool.submit(self._run, *job) for job in jobs]
+                try:
+                    for run in runs:
+                        kernels.append(run.result())
+                        tell(len(kernels))
+                except BaseException:  # Ctrl-C: do not start what still waits
+                    pool.shutdown(wait=False, cancel_futures=True)
+                    raise
+        finally:
+            torch.set_num_threads(threads)
+        return kernels
 
     def _run(self, crops: FloatArray, start: Start) -> FloatArray:
         turned = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
@@ -188,7 +212,7 @@ class PmpEstimator:
         if len(level.crops) < 2:
             return None
         start = self._starts[level.ranking.best]
-        return blur_differs_warning([self._run(crop[None], start) for crop in level.crops])
+        return blur_differs_warning(self._run_all([(crop[None], start) for crop in level.crops]))
 
 
 def _described(level: _Level, uneven: str | None) -> MotionEstimate:
