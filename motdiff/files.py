@@ -17,6 +17,7 @@ from motdiff.trajectory import Direction, Trajectory
 __all__ = ["SCHEMA", "StoredMotion", "read_motion", "write_motion", "write_text_atomically"]
 
 SCHEMA = "cep.trajectory/1"
+_FARTHEST_PX = 1e5
 
 
 @dataclass(frozen=True)
@@ -87,10 +88,11 @@ def read_motion(path: Path | str) -> StoredMotion:
     direction = cast(Direction, document.get("direction", "unknown"))
     try:
         main = _trajectory(document, direction)
-        alternatives = tuple(
-            (_weight(other), _trajectory(other, direction)) for other in document.get("alternatives", [])
-        )
-        return StoredMotion(main, _weight(document), alternatives, dict(document.get("source", {})))
+        others, source = document.get("alternatives", []), document.get("source", {})
+        if not isinstance(others, list) or not isinstance(source, dict):
+            raise ValueError("alternatives must be a list and source an object")
+        alternatives = tuple((_weight(other), _trajectory(other, direction)) for other in others)
+        return StoredMotion(main, _weight(document), alternatives, source)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         reason = f"field {error} is missing" if isinstance(error, KeyError) else str(error)
         raise ValueError(f"{path}: {reason}") from None
@@ -123,10 +125,18 @@ def _samples(trajectory: Trajectory) -> dict[str, list[float]]:
 
 
 def _trajectory(fields: Mapping[str, Any], direction: Direction) -> Trajectory:
+    if not isinstance(fields, Mapping):
+        raise ValueError(f"each alternative must be an object with weight, t, x and y, got {type(fields).__name__}")
     columns: list[Sequence[float]] = [fields["t"], fields["x"], fields["y"]]
+    for name, column in zip("txy", columns, strict=True):
+        if not isinstance(column, list) or not all(_is_number(value) for value in column):
+            raise ValueError(f"{name} must be a list of numbers")
     if len({len(column) for column in columns}) != 1:
         raise ValueError(f"t, x and y must be equally long, got {[len(column) for column in columns]}")
     t, x, y = (np.array(column, dtype=np.float64) for column in columns)
+    reach = np.abs(np.concatenate([x, y]))
+    if (np.isfinite(reach) & (reach > _FARTHEST_PX)).any():
+        raise ValueError(f"x and y must lie within {_FARTHEST_PX:g} px, got {reach.max():.3g}")
     exact = Trajectory.from_samples(np.column_stack([x, y]), t=t, direction=direction)
     if t[0] != 0 or t[-1] != 1:
         raise ValueError(f"t must run from 0 to 1, got {t[0]:g} to {t[-1]:g}")
@@ -134,7 +144,11 @@ def _trajectory(fields: Mapping[str, Any], direction: Direction) -> Trajectory:
 
 
 def _weight(fields: Mapping[str, Any]) -> float:
-    weight = float(fields.get("weight", 1.0))
-    if not 0 <= weight <= 1:
-        raise ValueError(f"weight must lie within 0..1, got {weight}")
-    return weight
+    weight = fields.get("weight", 1.0) if isinstance(fields, Mapping) else 1.0
+    if not _is_number(weight) or not 0 <= weight <= 1:
+        raise ValueError(f"weight must be a number within 0..1, got {weight!r}")
+    return float(weight)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

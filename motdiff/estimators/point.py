@@ -45,7 +45,8 @@ class PointEstimator:
     The PSF's centroid lies within half a pixel of the frame's centre.
 
     ``confidence`` is the share of the streak that its noise leaves certain, ``snr^2 / (1 + snr^2)`` with the SNR of the
-    whole PSF (its norm over the noise in its support), times the unsaturated share of the streak's pixels.
+    whole PSF (its norm over the noise in its support), times the unsaturated share of the streak's pixels, times the
+    share of comparable streaks that agree: things in an ordinary photo are no lights, and do not.
 
     Parameters
     ----------
@@ -104,7 +105,8 @@ class PointEstimator:
             "box_row_col_height_width": list(best.box),
         }
         snr = _snr(best)
-        confidence = snr**2 / (1 + snr**2) * (1 - best.clipped_share)
+        agreed = (1 + len(agreeing)) / (1 + min(len(comparable), self.most - 1))
+        confidence = snr**2 / (1 + snr**2) * (1 - best.clipped_share) * agreed
         return MotionEstimate(
             "point", (trace_psf_to_trajectory(psf),), (1.0,), psf, confidence, tuple(warnings), details
         )

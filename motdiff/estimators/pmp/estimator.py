@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from motdiff.crops import blur_differs_warning, luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
+from motdiff.estimators.pmp.kernel import without_specks
 from motdiff.estimators.pmp.score import Ranking, noise_sigma, rank_kernels
 from motdiff.metrics import mnc_subpixel
 from motdiff.tracing import trace_psf_to_trajectory
@@ -30,6 +31,7 @@ _FRAME_PX = 64
 _LARGEST_EXTENT = 0.8  # of the largest start: beyond, the photo is halved and tried again
 _LEVELS = 3
 _REFINEMENTS = 4
+_FAINT = 0.1
 _SAME_MNC = 0.8
 _LOST = 0.5
 _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
@@ -82,7 +84,8 @@ class PmpEstimator:
 
     Every start runs on the same crops, which share one kernel; the ranking of :mod:`motdiff.estimators.pmp.score`
     chooses. ``confidence`` is the probability that the chosen kernel has a sub-pixel MNC of 0.7 or more, fitted on
-    simulated photos. Where the blur outgrows the largest start, the photo is halved and tried again.
+    simulated photos. Where the blur outgrows the largest start, or is lost in a large photo, the photo is halved and
+    tried again.
 
     Parameters
     ----------
@@ -138,7 +141,7 @@ class PmpEstimator:
         if np.ptp(grey) == 0:
             raise ValueError("photo: is constant; motion shows only where the scene has texture")
         level = self._level(grey, 1)
-        while level.factor < 2 ** (_LEVELS - 1) and self._outgrown(level) and min(grey.shape) >= 4 * _SMALLEST_PX:
+        while level.factor < 2 ** (_LEVELS - 1) and self._wants_halving(level, min(grey.shape) // level.factor):
             factor = level.factor * 2
             smaller = cv2.resize(grey, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
             coarser = self._level(np.asarray(smaller, dtype=np.float64), factor)
@@ -202,10 +205,12 @@ class PmpEstimator:
                 refined = refine_kernel(batch, refined, sigma=sigma)
         return np.asarray(refined[0].cpu().numpy(), dtype=np.float64)
 
-    def _outgrown(self, level: _Level) -> bool:
+    def _wants_halving(self, level: _Level, side_px: int) -> bool:
+        """Tell whether the blur outgrew the starts, or is lost in a photo with pixels to spare."""
         y, x = np.nonzero(level.kernels[level.ranking.best])
-        extent = max(np.ptp(y), np.ptp(x)) + 1
-        return bool(extent > _LARGEST_EXTENT * max(start.size for start in self._starts))
+        outgrown = max(np.ptp(y), np.ptp(x)) + 1 > _LARGEST_EXTENT * max(start.size for start in self._starts)
+        lost = level.ranking.confidence < _LOST and side_px >= 2 * _CROP_PX
+        return bool((outgrown and side_px >= 4 * _SMALLEST_PX) or lost)
 
     def _one_blur(self, level: _Level) -> str | None:
         """Warn when single crops disagree about the blur."""
@@ -223,7 +228,7 @@ def _described(level: _Level, uneven: str | None) -> MotionEstimate:
             chosen.append(int(i))
     chosen.remove(ranking.best) if ranking.best in chosen else None
     chosen = [ranking.best, *chosen[:2]]
-    trajectories = [trace_psf_to_trajectory(kernels[i]) for i in chosen]
+    trajectories = [trace_psf_to_trajectory(_without_faint_parts(kernels[i])) for i in chosen]
     if level.factor > 1:
         trajectories = [trajectory.scaled(level.factor) for trajectory in trajectories]
     weights = ranking.probabilities[chosen] / ranking.probabilities[chosen].sum()
@@ -235,7 +240,7 @@ def _described(level: _Level, uneven: str | None) -> MotionEstimate:
             "take a photo with more texture, or use the methods reference or point"
         )
     if level.factor > 1:
-        warnings.append(f"the blur is large: it was estimated on the photo at 1/{level.factor} of its size")
+        warnings.append(f"the motion was estimated on the photo at 1/{level.factor} of its size, where it shows better")
     return MotionEstimate(
         method="pmp",
         trajectories=tuple(trajectories),
@@ -255,6 +260,12 @@ def _described(level: _Level, uneven: str | None) -> MotionEstimate:
 
 def _sigma(crops: FloatArray) -> float:
     return float(np.median([noise_sigma(crop) for crop in crops]))
+
+
+def _without_faint_parts(kernel: FloatArray) -> FloatArray:
+    """Kernel without what is below a tenth of its peak: noise there draws side branches that lengthen the path."""
+    kept = np.where(kernel < _FAINT * kernel.max(), 0.0, kernel)
+    return np.asarray(without_specks(torch.from_numpy(kept)[None])[0].numpy(), dtype=np.float64)
 
 
 def _psf_of(trajectory: Trajectory) -> FloatArray:
