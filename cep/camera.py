@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motdiff.files import write_text_atomically
+from cep.outputs import write_text
 from motdiff.simulate import add_noise, blur_valid, to_display, to_linear, valid_window
 
 __all__ = ["SCHEMA", "Camera", "capture", "visible"]
@@ -175,7 +175,7 @@ class Camera:
         items = self.to_dict().items()
         # numbers and plain words read the same in JSON and TOML
         toml = "".join(f"{key} = {json.dumps(value)}\n" for key, value in items)
-        write_text_atomically(path, toml if suffix == ".toml" else json.dumps(dict(items), indent=1) + "\n")
+        write_text(path, toml if suffix == ".toml" else json.dumps(dict(items), indent=1) + "\n")
 
     def _code_slope(self, light: FloatArray) -> FloatArray:
         """Linear light per unit of code."""

@@ -19,6 +19,8 @@ from motdiff.trajectory import Trajectory
 
 __all__ = [
     "FINEST_CHIP_PX",
+    "LARGEST_FRAME_PX",
+    "check_frame",
     "check_resolved",
     "expected_psnr_db",
     "judge",
@@ -27,6 +29,24 @@ __all__ = [
 
 FINEST_CHIP_PX = 0.25
 """Shortest mean displacement per chip, px: the pitch of the HR map. Chips below it differ by nothing a pixel sees."""
+
+LARGEST_FRAME_PX = 2048
+"""Widest PSF frame, px, of a bent path that is measured: the work grows with its area."""
+
+
+def check_frame(trajectory: Trajectory) -> None:
+    """Refuse a bent path too wide to be measured; a uniform straight one has a formula for any length.
+
+    Raises
+    ------
+    ValueError
+        If the PSF would need a frame of more than :data:`LARGEST_FRAME_PX`.
+    """
+    frame = trajectory.frame_size()
+    if frame > LARGEST_FRAME_PX and uniform_length_px(trajectory) is None:
+        raise ValueError(
+            f"trajectory: the path needs a PSF of {frame} px around its zero, at most {LARGEST_FRAME_PX} can be handled"
+        )
 
 
 def check_resolved(trajectory: Trajectory, chips: int) -> None:

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cep.code import ShutterCode
 from cep.images import read_photo
-from cep.outputs import new_file
-from motdiff.files import write_text_atomically
+from cep.outputs import new_file, write_text
+from motdiff.crops import luminance
 
 __all__ = [
     "CODE_SCHEMA",
@@ -65,7 +65,7 @@ def write_code(path: Path | str, stored: StoredCode) -> None:
         "problem": stored.problem,
         "certificate": stored.certificate,
     }
-    write_text_atomically(path, json_text(document))
+    write_text(path, json_text(document))
 
 
 def read_code(path: Path | str) -> StoredCode:
@@ -223,6 +223,6 @@ def _psf_from_mat(source: Path) -> NDArray[Any]:
 
 def _psf_from_image(source: Path) -> NDArray[Any]:
     pixels = read_photo(source, gamma="linear", min_side_px=1).pixels
-    grey = pixels if pixels.ndim == 2 else pixels.mean(axis=2)
+    grey = luminance(pixels)
     total = float(grey.sum())
     return np.asarray(grey / total) if total > 0 else grey

@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motdiff.files import write_text_atomically
+from cep.outputs import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -129,7 +129,7 @@ def write_report(path: Path | str, report: Report) -> None:
     path : path of the HTML file
     report : Report
     """
-    write_text_atomically(path, html(report))
+    write_text(path, html(report))
 
 
 def _cell(value: object) -> str:

@@ -56,10 +56,9 @@ def audit(
     Example: cep audit 1010000111000001010000110011110111010111001001100111
     """
     from cep.audit import better_neighbours, minimum_along, null_threshold
-    from cep.design import check_resolved, judge
+    from cep.design import check_frame, check_resolved, judge
     from cep.files import json_text
-    from cep.outputs import claim
-    from motdiff.files import write_text_atomically
+    from cep.outputs import claim, write_text
     from motdiff.trajectory import Trajectory
 
     shutter = load_code(code, chip_ns=chip_ns).code
@@ -67,6 +66,7 @@ def audit(
     stated = trajectory is not None or linear is not None
     motion = load_motion(trajectory, linear).trajectory if stated else Trajectory.straight(float(shutter.chips))
     claim([output] if output else [], force=force)
+    check_frame(motion)
     check_resolved(motion, shutter.chips)
     metrics = judge(motion, shutter, camera=noise)
     # straight motion of constant speed: the code's polynomial decides, whatever the length
@@ -88,7 +88,7 @@ def audit(
         "warnings": [f"the code has a zero at {_place(minimum.at, where is None)}"] if is_null else [],
     }
     if output:
-        write_text_atomically(output, json_text(result))
+        write_text(output, json_text(result))
 
     def show(console: Console) -> None:
         console.print(f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings: {shutter.bits}")
@@ -126,11 +126,12 @@ def mtf(
     Example: cep mtf --trajectory trajectory.json --code code.json --code raskar-52 -o mtf.png
     """
     from cep.code import ShutterCode
-    from cep.design import check_resolved, judge
+    from cep.design import check_frame, check_resolved, judge
     from cep.outputs import claim
     from cep.plots import mtf_curve, mtf_figure, save
 
     motion = load_motion(trajectory, linear).trajectory
+    check_frame(motion)
     shutters: dict[str, ShutterCode | None] = {"open shutter": None}
     for source in codes or []:
         label = code_label(source)

@@ -69,9 +69,12 @@ def explain(error: BaseException) -> int:
         complain(f"{format_message()} (see {_command_path(error)} --help)")
         return BAD_INPUT
     if isinstance(error, OSError):
+        import errno
+
+        full_disk = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
         reason = error.strerror or str(error) or type(error).__name__
         complain(f"{error.filename}: {reason}" if error.filename else reason)
-        return BAD_INPUT
+        return FAILURE if error.errno in full_disk else BAD_INPUT
     if isinstance(error, ValueError):
         complain(str(error) or "wrong input")
         return BAD_INPUT

@@ -25,6 +25,8 @@ from cep.cli.options import (
 
 __all__ = ["deblur"]
 
+_FULL_LIGHT = 1.001  # 1, but for rounding
+
 
 def deblur(
     image: Annotated[Path, typer.Argument(help="Blurred photo, coded or not: PNG, TIFF, JPEG or RAW.")],
@@ -49,6 +51,7 @@ def deblur(
 
     Example: cep deblur coded.png --trajectory trajectory.json --code code.json -o sharp.png
     """
+    from cep.calibrate import check_texture
     from cep.code import ShutterCode
     from cep.design import check_resolved
     from cep.exposure import coded_psf
@@ -57,6 +60,7 @@ def deblur(
     from cep.outputs import claim
     from cep.restore import METHODS, restore
     from cep.restore.direction import test_directions
+    from cep.restore.spectral import trimmed_psf
 
     if method not in METHODS:
         raise ValueError(f"--method: must be one of {', '.join(METHODS)}, got {method!r}")
@@ -77,6 +81,21 @@ def deblur(
         check_resolved(motion, shutter.chips)
     kernel = None if psf is None else read_psf(psf)
     photo = read_photo(image, gamma=gamma)
+    try:
+        check_texture(photo.pixels)
+    except ValueError as error:
+        raise ValueError(f"{image}: {error}") from None
+    side = min(photo.pixels.shape[:2])
+    if motion is not None:
+        reach = motion.frame_size()
+    else:
+        assert kernel is not None
+        reach = len(trimmed_psf(kernel))
+    if reach > side:
+        raise ValueError(
+            f"{trajectory or psf}: the motion spans {reach} px around its zero, "
+            f"the photo {image} is only {side} px on its shorter side"
+        )
     direction, test = "given by the PSF", None
     started = time.perf_counter()
     with progress("restoring"):
@@ -90,6 +109,11 @@ def deblur(
         restored = restore(photo.pixels, kernel, method=method, **options)
     write_image(target, restored.image, bits=photo.bits, gamma=gamma)
     warnings = [*photo.warnings, *restored.warnings]
+    if psf is not None and kernel.sum() > _FULL_LIGHT:
+        warnings.append(
+            f"{psf}: the PSF sums to {kernel.sum():.4g}, a light-true one to the open share of the exposure, "
+            "at most 1; the photo comes out darker by that factor"
+        )
     if direction == "undecidable":
         warnings.append("the photo does not tell the direction of the motion; forward was taken")
     result = {

@@ -37,10 +37,9 @@ def export(
 
     Example: cep export code.json --format c -o shutter_code.h
     """
-    from cep.outputs import claim
+    from cep.outputs import claim, write_text
     from hw.drivers.report import Trust
     from hw.export import exporter
-    from motdiff.files import write_text_atomically
 
     chosen = exporter(file_format)
     program = _program(code, chip_ns)
@@ -50,7 +49,7 @@ def export(
     text = chosen.export(program)
     if chosen.parse_back(text) != program:
         raise RuntimeError(f"{target}: reading the {file_format} text back gave other edges, nothing was written")
-    write_text_atomically(target, text)
+    write_text(target, text)
     result = {
         "file": target,
         "format": file_format,
@@ -85,10 +84,9 @@ def upload(
     Example: cep upload code.json --port /dev/ttyACM0 --arm
     """
     from cep.files import json_text
-    from cep.outputs import claim
+    from cep.outputs import claim, write_text
     from hw.device import load_profile
     from hw.drivers.cxp import Controller
-    from motdiff.files import write_text_atomically
 
     program = _program(code, chip_ns)
     profile = None if device is None else load_profile(device)
@@ -108,7 +106,7 @@ def upload(
         "seed": seed,
     }
     if output:
-        write_text_atomically(output, json_text(result))
+        write_text(output, json_text(result))
     armed = f"; armed for {report.lease_ms} ms" if report.armed else ""
     finish(result, as_json=as_json, show=lambda console: console.print(
         f"{port}: {program.chips} chips of {program.chip_ns} ns loaded, {report.trust.value}{armed}"

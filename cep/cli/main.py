@@ -66,6 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return FAILURE
     except Exception as error:
         return explain(error)
+    if outcome == INTERRUPTED:
+        complain("interrupted")  # typer has turned Ctrl-C into this exit code
     return outcome if isinstance(outcome, int) else 0
 
 

@@ -85,7 +85,7 @@ def optimize(
     from cep.band import uniform_length_px
     from cep.baselines.compare import compare
     from cep.baselines.published import for_chips
-    from cep.design import check_resolved
+    from cep.design import check_frame, check_resolved
     from cep.files import StoredCode, write_code
     from cep.outputs import claim
     from cep.search.anneal import anneal, standard_moves
@@ -100,6 +100,7 @@ def optimize(
         raise ValueError(f"--direction: must be one of {', '.join(_DIRECTIONS)}, got {direction!r}")
     stored = load_motion(trajectory, linear)
     motion = stored.trajectory
+    check_frame(motion)
     check_resolved(motion, chips)
     profile = None if device is None else load_profile(device)
     straight = uniform_length_px(motion) is not None
@@ -132,19 +133,6 @@ def optimize(
     problems = profile.check(Program.from_bits(code.bits, chip_ns=chip_ns)) if profile else ()
     if problems:
         raise ValueError(f"no code was found that the device can play: {'; '.join(problems)}")
-    ours, *others = compare(problem, code, rng=np.random.default_rng([seed, 1]))
-    metrics = ours.metrics
-    minimum = minimum_along(code, None if straight else _as_designed(motion, direction))
-    limit, reached = None, metrics.min_chip if straight else metrics.min_mtf
-    if problem.objective == "min-mtf":
-        limit = bound(problem).min_chip if straight else bound(problem).min_mtf
-    certificate = {
-        "unit": "chips" if straight else "light-true",
-        "lower": minimum.lower,
-        "upper": minimum.upper,
-        "at": minimum.at,
-        "method": minimum.method,
-    }
     described = {
         "trajectory": None if trajectory is None else str(trajectory),
         "linear_px": linear,
@@ -160,6 +148,20 @@ def optimize(
         "method": method,
         "steps": found.steps,
         "seed": seed,
+    }
+    write_code(output, StoredCode(code, problem=described))  # already: Ctrl-C from here on must not lose it
+    ours, *others = compare(problem, code, rng=np.random.default_rng([seed, 1]))
+    metrics = ours.metrics
+    minimum = minimum_along(code, None if straight else _as_designed(motion, direction))
+    limit, reached = None, metrics.min_chip if straight else metrics.min_mtf
+    if problem.objective == "min-mtf":
+        limit = bound(problem).min_chip if straight else bound(problem).min_mtf
+    certificate = {
+        "unit": "chips" if straight else "light-true",
+        "lower": minimum.lower,
+        "upper": minimum.upper,
+        "at": minimum.at,
+        "method": minimum.method,
     }
     write_code(output, StoredCode(code, metrics.to_dict(), described, certificate))
     warnings = ["the search was stopped early, this is the best code so far"] if found.interrupted else []

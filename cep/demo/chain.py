@@ -21,6 +21,7 @@ from cep.restore import restore
 from cep.restore.direction import DirectionResult, test_directions
 from cep.search.anneal import SearchResult, anneal
 from cep.search.problem import SearchProblem, open_range_of_duty
+from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.trajectory import Trajectory
@@ -195,7 +196,7 @@ def _shot(
 
 
 def _grey(image: FloatArray) -> FloatArray:
-    return np.clip(image if image.ndim == 2 else image.mean(axis=2), 0, 1)
+    return np.clip(luminance(image), 0, 1)
 
 
 class _Clock:

@@ -10,11 +10,10 @@ from cep.demo.chain import Chain
 from cep.demo.page import DEMO_PICTURES, demo_report
 from cep.files import StoredCode, json_text, write_code
 from cep.images import write_image
-from cep.outputs import new_folder
+from cep.outputs import new_folder, write_text
 from cep.report import write_report
 from hw.export import EXPORTERS
 from hw.program import Program
-from motdiff.files import write_text_atomically
 
 __all__ = ["DEMO_FILES", "write_demo"]
 
@@ -75,7 +74,7 @@ def write_demo(folder: Path | str, chain: Chain, *, force: bool = False) -> Mapp
             text = module.export(program)
             if module.parse_back(text) != program:
                 raise RuntimeError(f"{name}: reading the program back gave other edges")
-            write_text_atomically(made / name, text)
+            write_text(made / name, text)
         write_image(made / "blurred.png", chain.scene.photo, bits=16)
         write_image(made / "coded.png", coded_shot.photo, bits=16)
         write_image(made / "restored_open.png", open_shot.restored)
@@ -84,5 +83,5 @@ def write_demo(folder: Path | str, chain: Chain, *, force: bool = False) -> Mapp
         for shown in (shown for section in report.sections for shown in section.pictures if shown.name):
             (made / f"{shown.name}.png").write_bytes(shown.png)
         write_report(made / "report.html", report)
-        write_text_atomically(made / "demo.json", json_text(figures))
+        write_text(made / "demo.json", json_text(figures))
     return figures

@@ -63,8 +63,11 @@ def save(figure: Figure, path: Path | str) -> None:
     target = Path(path)
     if target.suffix.lower() not in (".png", ".pdf", ".svg"):
         raise ValueError(f"{target}: figures are written as .png, .pdf or .svg")
+    # in memory first: on a full disk matplotlib's PDF writer hides the error behind one of its own
+    stream = io.BytesIO()
+    figure.savefig(stream, format=target.suffix[1:].lower(), dpi=_DPI)
     with new_file(target) as temporary:
-        figure.savefig(temporary, dpi=_DPI)
+        temporary.write_bytes(stream.getvalue())
 
 
 def show_photo(axes: Axes, image: FloatArray) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cep.plots.canvas import COLOURS, new_figure, show_photo, thumbnail
+from motdiff.crops import luminance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,7 +62,7 @@ def _centred(image: FloatArray, height: int, width: int) -> FloatArray:
 
 def _busiest(image: FloatArray, side: int) -> tuple[int, int]:
     """Corner of the window with most gradient, in steps of a quarter window, clear of the restoration's borders."""
-    grey = image if image.ndim == 2 else image.mean(axis=2)
+    grey = luminance(image)
     energy = sum(np.abs(part) for part in np.gradient(grey))
     totals = np.pad(np.cumsum(np.cumsum(energy, axis=0), axis=1), ((1, 0), (1, 0)))
     margin = min(32, (min(grey.shape) - side) // 2)

@@ -55,8 +55,9 @@ def fit_spectrum(
     Whittle, "Estimation and information in stationary time series", 1953: the periodogram's likelihood.
     """
     density, blur, log_f, angle = _periodogram(image, psf)
-    if not density.any():
-        return Spectrum(_SMALLEST_VARIANCE, noise_variance or 0.0, 0.0)
+    if density.max(initial=0.0) <= _SMALLEST_VARIANCE:
+        # a flat photo: rounding is all there is, and without a floor under the noise a filter would amplify that
+        return Spectrum(_SMALLEST_VARIANCE, max(noise_variance or 0.0, _SMALLEST_VARIANCE), 0.0)
     terms = _smooth_terms(log_f, angle) if shaped else np.ones((1, density.size))
     law = blur * np.exp(-2 * log_f)
     known = noise_variance is not None

@@ -101,11 +101,15 @@ FEATURELESS = {
 
 
 @pytest.mark.parametrize("make", [*BROKEN, *FEATURELESS], ids=lambda make: make.__name__)
-@pytest.mark.parametrize("command", ["calibrate", "demo"])
+@pytest.mark.parametrize("command", ["calibrate", "demo", "deblur"])
 def test_photos_that_no_motion_can_be_estimated_from(refused, workplace, make, command):
     make(Path("photo.png"))
-    arguments = ["calibrate", "photo.png"] if command == "calibrate" else ["demo", "--photo", "photo.png"]
-    line = refused(*arguments)
+    arguments = {
+        "calibrate": ["calibrate", "photo.png"],
+        "demo": ["demo", "--photo", "photo.png"],
+        "deblur": ["deblur", "photo.png", "--trajectory", "trajectory.json"],
+    }
+    line = refused(*arguments[command])
     assert "photo.png" in line
     assert (BROKEN | FEATURELESS)[make].lower() in line.lower()
 
@@ -195,6 +199,30 @@ def test_bad_trajectories(refused, workplace, command, change, message):
     line = refused(*filter(None, [command, first]), "--trajectory", "trajectory.json", "-o", "out.png")
     assert "trajectory.json" in line
     assert message in line
+
+
+def test_motions_wider_than_the_photo_or_any_frame(refused, workplace):
+    Path("wide.json").write_text(json.dumps(GOOD | {"x": [-2500.0, 0.0, 2500.0], "y": [0.0, 3.0, 0.0]}))
+    np.save("wide.npy", np.full((301, 301), 1e-5))
+    for option, name in (("--trajectory", "wide.json"), ("--psf", "wide.npy")):
+        line = refused("deblur", "blurred.png", option, name)
+        assert name in line
+        assert "blurred.png is only" in line
+    for arguments in (["mtf"], ["audit", "1011"], ["optimize", "--chips", "20"]):
+        assert "at most 2048" in refused(*arguments, "--trajectory", "wide.json", "-o", "new.png")
+
+
+def test_a_large_empty_frame_around_a_psf_is_fine(cep, workplace):
+    psf = np.zeros((301, 301))
+    psf[150, 148:153] = 0.2
+    np.save("psf.npy", psf)
+    assert not cep.succeeds("deblur", "blurred.png", "--psf", "psf.npy")["warnings"]
+
+
+def test_a_psf_of_more_light_than_there_is(cep, workplace):
+    np.save("psf.npy", np.full((3, 3), 0.2))
+    warnings = cep.succeeds("deblur", "blurred.png", "--psf", "psf.npy")["warnings"]
+    assert any("psf.npy: the PSF sums to 1.8" in warning for warning in warnings)
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[1, 2]", b"\xff\xfe\x00", b"null"])

@@ -1,6 +1,8 @@
 """Every command: its files, its JSON fields, its exit codes; and that the first page comes at once."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 
 from cep.cli import console
-from cep.cli.main import app, main
+from cep.cli.main import app
 from cep.cli.options import load_code
 from cep.code import ShutterCode
 from cep.exposure import coded_otf, coded_psf
@@ -99,7 +101,8 @@ def test_an_interrupt_exits_130(cep, monkeypatch, workplace):
 
     monkeypatch.setattr("cep.restore.restore", interrupted)
     before = sorted(workplace.iterdir())
-    assert main(["deblur", "blurred.png", "--trajectory", "trajectory.json"]) == 130
+    assert cep("deblur", "blurred.png", "--trajectory", "trajectory.json").code == 130
+    assert (cep.out, cep.err) == ("", "cep: interrupted\n")
     assert sorted(workplace.iterdir()) == before
 
 
@@ -238,6 +241,50 @@ def test_optimize_interrupted_keeps_the_best(cep, workplace, monkeypatch):
     assert found["interrupted"]
     assert found["warnings"]
     assert read_code("new.json").code.bits == found["bits"]
+
+
+def test_a_second_interrupt_does_not_lose_the_code(cep, workplace, monkeypatch):
+    def interrupted(*_arguments, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cep.baselines.compare.compare", interrupted)
+    assert cep("optimize", "--linear", "20", "--chips", "16", "--steps", "1000", "-o", "new.json").code == 130
+    assert cep.err == "cep: interrupted\n"
+    stored = read_code("new.json")
+    assert stored.code.chips == stored.problem["chips"] == 16
+
+
+_LOUD = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+from cep.cli.main import run
+from cep.search import anneal as module
+
+real = module.anneal
+
+def loud(problem, **options):
+    def tell(fraction, best):
+        print("searching", flush=True, file=sys.stderr)
+    return real(problem, **(options | {"progress": tell}))
+
+module.anneal = loud
+run()
+"""
+
+
+def test_a_real_interrupt_of_a_long_search(workplace):
+    limits = ["--chips", "12", "--steps", "1000000000", "--time", "600"]
+    with subprocess.Popen(
+        [sys.executable, "-c", _LOUD, "optimize", "--linear", "20", *limits, "-o", "new.json", "--json"],
+        env=os.environ | {"PYTHONPATH": str(Path(console.__file__).parents[2])},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        assert process.stderr.readline() == "searching\n"
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert json.loads(out)["interrupted"]
+    assert read_code("new.json").code.bits == json.loads(out)["bits"]
 
 
 def test_audit_finds_a_hidden_zero(cep, workplace):

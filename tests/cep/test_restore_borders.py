@@ -6,6 +6,7 @@ from skimage import data
 from cep.restore.borders import extended_shape, membrane_extension, reblurred_extension
 from cep.restore.noise import fit_spectrum
 from cep.restore.spectral import power_law
+from cep.restore.wiener import wiener
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
@@ -87,5 +88,9 @@ def test_noise_and_scene_strength_are_found_in_a_blurred_photo(sigma):
     assert brighter.scene == pytest.approx(9 * found.scene, rel=0.02)
 
 
-def test_dark_photo_has_a_spectrum_too():
-    assert fit_spectrum(np.zeros((20, 20)), np.ones((1, 1))).noise == 0.0
+@pytest.mark.parametrize("level", [0.0, 0.3, 1.0])
+def test_a_flat_photo_meets_no_bare_inverse_filter(level):
+    """Only rounding is left in its spectrum, which a box PSF's zeros would amplify without end."""
+    photo, psf = np.full((200, 200), level), np.full((1, 9), 1 / 9)
+    assert fit_spectrum(photo, psf).noise > 0
+    np.testing.assert_allclose(wiener(photo, psf), level, atol=1e-6)
