@@ -31,7 +31,7 @@ _FRAME_PX = 64
 _LARGEST_EXTENT = 0.8  # of the largest start: beyond, the photo is halved and tried again
 _LEVELS = 3
 _REFINEMENTS = 4
-_FAINT = 0.1
+_FAINT = 0.05
 _SAME_MNC = 0.8
 _LOST = 0.5
 _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
@@ -263,7 +263,7 @@ def _sigma(crops: FloatArray) -> float:
 
 
 def _without_faint_parts(kernel: FloatArray) -> FloatArray:
-    """Kernel without what is below a tenth of its peak: noise there draws side branches that lengthen the path."""
+    """Kernel without what is below 5 % of its peak: noise there draws side branches that lengthen the path."""
     kept = np.where(kernel < _FAINT * kernel.max(), 0.0, kernel)
     return np.asarray(without_specks(torch.from_numpy(kept)[None])[0].numpy(), dtype=np.float64)
 
