@@ -33,6 +33,7 @@ _LEVELS = 3
 _REFINEMENTS = 4
 _FAINT = 0.05
 _SAME_MNC = 0.8
+_MOST_MOTIONS = 3
 _LOST = 0.5
 _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
 
@@ -222,12 +223,10 @@ class PmpEstimator:
 
 def _described(level: _Level, uneven: str | None) -> MotionEstimate:
     ranking, kernels = level.ranking, level.kernels
-    chosen: list[int] = []
+    chosen = [ranking.best]
     for i in np.argsort(-ranking.probabilities):
-        if all(mnc_subpixel(kernels[i], kernels[j]) < _SAME_MNC for j in chosen):
+        if len(chosen) < _MOST_MOTIONS and all(mnc_subpixel(kernels[i], kernels[j]) < _SAME_MNC for j in chosen):
             chosen.append(int(i))
-    chosen.remove(ranking.best) if ranking.best in chosen else None
-    chosen = [ranking.best, *chosen[:2]]
     trajectories = [trace_psf_to_trajectory(_without_faint_parts(kernels[i])) for i in chosen]
     if level.factor > 1:
         trajectories = [trajectory.scaled(level.factor) for trajectory in trajectories]
