@@ -14,7 +14,7 @@ from scipy import fft
 
 from cep.restore.spectral import otf_on_grid, power_law
 
-__all__ = ["Border", "extended_shape", "membrane_extension", "reblurred_extension"]
+__all__ = ["Border", "extended_shape", "membrane_extension", "reblurred_extension", "working_shape"]
 
 FloatArray = NDArray[np.float64]
 Border = Literal["real", "periodic"]
@@ -28,6 +28,11 @@ def extended_shape(shape: tuple[int, int], psf_size: int) -> tuple[int, int]:
     gap = max(psf_size - 1, _SMALLEST_GAP_PX)
     rows, columns = (int(fft.next_fast_len(side + gap, real=True)) for side in shape)
     return rows, columns
+
+
+def working_shape(shape: tuple[int, int], psf_size: int, border: Border) -> tuple[int, int]:
+    """Size to restore a photo at: its own when it is periodic, else with room to join its real borders."""
+    return shape if border == "periodic" else extended_shape(shape, psf_size)
 
 
 def membrane_extension(image: FloatArray, shape: tuple[int, int]) -> FloatArray:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
-from cep.restore.borders import Border, extended_shape, reblurred_extension
+from cep.restore.borders import Border, reblurred_extension, working_shape
 from cep.restore.spectral import channels_first, channels_last, otf_on_grid, trimmed_psf
 
 __all__ = ["inverse_filter"]
@@ -45,7 +45,7 @@ def inverse_filter(
         raise ValueError(f"floor: must lie within 0..1, got {floor}")
     channels, kernel = channels_first(photo), trimmed_psf(psf)
     size = (channels.shape[1], channels.shape[2])
-    shape = size if border == "periodic" else extended_shape(size, kernel.shape[0])
+    shape = working_shape(size, kernel.shape[0], border)
     transfer = otf_on_grid(kernel, shape)
     modulus, least = np.abs(transfer), floor * kernel.sum()
     divisor = modulus * np.maximum(modulus, least)

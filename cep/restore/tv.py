@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
-from cep.restore.borders import Border, extended_shape, reblurred_extension
+from cep.restore.borders import Border, reblurred_extension, working_shape
 from cep.restore.spectral import channels_first, channels_last, gradient_power, otf_on_grid, trimmed_psf
 
 __all__ = ["tv"]
@@ -57,7 +57,7 @@ def tv(
     channels, kernel = channels_first(photo), trimmed_psf(psf)
     channels, kernel = channels / kernel.sum(), kernel / kernel.sum()
     size = (channels.shape[1], channels.shape[2])
-    shape = size if border == "periodic" else extended_shape(size, kernel.shape[0])
+    shape = working_shape(size, kernel.shape[0], border)
     transfer, gradients = otf_on_grid(kernel, shape), gradient_power(shape)
     power = np.abs(transfer) ** 2
     restored = np.empty_like(channels)

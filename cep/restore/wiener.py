@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from cep.camera import Camera
-from cep.restore.borders import Border, extended_shape, reblurred_extension
+from cep.restore.borders import Border, reblurred_extension, working_shape
 from cep.restore.noise import fit_spectrum
 from cep.restore.spectral import channels_first, channels_last, otf_on_grid, power_law, trimmed_psf
 
@@ -68,7 +68,7 @@ def wiener(
         raise ValueError(f"scene_strength: must be above 0, got {scene_strength}")
     channels, kernel = channels_first(photo), trimmed_psf(psf)
     size = (channels.shape[1], channels.shape[2])
-    shape = size if border == "periodic" else extended_shape(size, kernel.shape[0])
+    shape = working_shape(size, kernel.shape[0], border)
     transfer = otf_on_grid(kernel, shape)
     restored = np.empty_like(channels)
     for channel, out in zip(channels, restored, strict=True):
