@@ -14,7 +14,7 @@ import numpy as np
 
 from motdiff.trajectory import Direction, Trajectory
 
-__all__ = ["SCHEMA", "StoredMotion", "read_motion", "write_motion", "write_text_atomically"]
+__all__ = ["SCHEMA", "StoredMotion", "read_motion", "write_bytes_atomically", "write_motion", "write_text_atomically"]
 
 SCHEMA = "cep.trajectory/1"
 _FARTHEST_PX = 1e5
@@ -99,24 +99,38 @@ def read_motion(path: Path | str) -> StoredMotion:
 
 
 def write_text_atomically(path: Path | str, text: str) -> None:
-    """Write ``text`` under a temporary name, then rename: readers never see half a file.
+    """Write ``text`` as UTF-8, see :func:`write_bytes_atomically`."""
+    write_bytes_atomically(path, text.encode("utf-8"))
+
+
+def write_bytes_atomically(path: Path | str, data: bytes) -> None:
+    """Write ``data`` under a temporary name, then rename: readers never see half a file.
 
     Parameters
     ----------
     path : path of the file
-    text : str, written as UTF-8
+    data : bytes
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; the error names ``path`` and nothing is left behind.
     """
     target = Path(path)
-    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    temporary: str | None = None
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(data)
         umask = os.umask(0)
         os.umask(umask)
         Path(temporary).chmod(0o666 & ~umask)
         Path(temporary).replace(target)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+    except BaseException as error:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno is not None:  # a full disk does not say which file
+            raise type(error)(error.errno, error.strerror, str(target)) from error
         raise
 
 

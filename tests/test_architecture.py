@@ -22,7 +22,16 @@ HEAVY = {
     "skimage": "a second to import",
 }
 HEAVY_ALLOWED = {
-    "torch": ("motdiff/estimators/pmp/", "motdiff/network/"),  # torch packages throughout
+    "torch": (  # torch packages and modules throughout
+        "motdiff/conditions.py",
+        "motdiff/diffusion.py",
+        "motdiff/estimators/pmp/",
+        "motdiff/losses.py",
+        "motdiff/network/",
+        "motdiff/sampling.py",
+        "motdiff/training/",
+        "motdiff/weights/",
+    ),
 }
 
 LIGHT_CLI = {

@@ -1,0 +1,8 @@
+"""``python -m motdiff``: train, prepare, pack, eval, sample."""
+
+import sys
+
+from motdiff.commands import run
+
+if __name__ == "__main__":
+    sys.exit(run())

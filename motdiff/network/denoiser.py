@@ -1,0 +1,172 @@
+"""The asymmetric denoiser: a noisy map to logits of the clean one by one encoding and two decoding blocks."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+__all__ = ["Denoiser", "timestep_embedding"]
+
+_PATH_SHARE = 0.01  # of a map's pixels lie on the path: the output starts from this probability
+
+
+class Denoiser(nn.Module):
+    """Noisy map, timestep and condition to logits of the path map.
+
+    Encoding block: 7x7 convolution with stride 4 + ReLU, ResNet block (3x3, batch norm), 3x3 convolution + ReLU.
+    The condition is concatenated. Mid layer: 1x1 convolution + ReLU. Two decoding blocks: PixelShuffle x2, 3x3
+    convolution + ReLU. Output: dropout, 1x1 convolution. There are no skip connections, so that the noisy map's fine
+    grain cannot leak into the estimate.
+
+    The paper does not say how the timestep enters. Here: sinusoidal embedding -> two-layer network -> a scale and a
+    shift of each channel, after the ResNet block's first batch norm and on the mid layer before its ReLU.
+
+    Parameters
+    ----------
+    condition_channels : int
+        Channels of the condition.
+    width : int
+        Channels of the encoding block and of the mid layer, a multiple of 4.
+    decoder_widths : tuple of two int
+        Channels after each decoding block, the first a multiple of 4.
+    outputs : int
+        1: path; 2: path and dwell.
+    dropout : float
+        Dropout probability before the output layer.
+    time_width : int
+        Channels of the timestep's embedding, even.
+
+    References
+    ----------
+    Choi et al., "MoTDiff", arXiv 2510.26173, equation 5 and "Simple diffusion denoiser architecture".
+    """
+
+    def __init__(
+        self,
+        condition_channels: int,
+        *,
+        width: int = 64,
+        decoder_widths: tuple[int, int] = (32, 16),
+        outputs: int = 1,
+        dropout: float = 0.1,
+        time_width: int = 128,
+    ) -> None:
+        super().__init__()
+        self.time = _TimeNetwork(time_width)
+        self.enter = nn.Conv2d(1, width, 7, 4, 3)
+        self.residual = _ResidualBlock(width, time_width)
+        self.leave = nn.Conv2d(width, width, 3, 1, 1)
+        self.mid = nn.Conv2d(width + condition_channels, width, 1)
+        self.mid_modulation = _Modulation(time_width, width)
+        self.decode = nn.Sequential(
+            *(nn.PixelShuffle(2), nn.Conv2d(width // 4, decoder_widths[0], 3, 1, 1), nn.ReLU()),
+            *(nn.PixelShuffle(2), nn.Conv2d(decoder_widths[0] // 4, decoder_widths[1], 3, 1, 1), nn.ReLU()),
+        )
+        self.output = nn.Sequential(nn.Dropout(dropout), _output_layer(decoder_widths[1], outputs))
+
+    def forward(self, x_t: Tensor, t: Tensor, condition: Tensor) -> Tensor:
+        """Logits of x0 (and of dwell).
+
+        Parameters
+        ----------
+        x_t : (B, 1, H, W) float
+            Noisy map.
+        t : (B,) int64
+            Timestep, 0..999.
+        condition : (B, C, H / 4, W / 4) float
+            Condition.
+
+        Returns
+        -------
+        (B, 1 or 2, H, W) float
+
+        Raises
+        ------
+        ValueError
+            If the shapes do not belong together.
+        """
+        batch, _, height, width = condition.shape
+        if x_t.shape != (batch, 1, 4 * height, 4 * width):
+            wanted = (batch, 1, 4 * height, 4 * width)
+            raise ValueError(f"x_t has shape {tuple(x_t.shape)}; with this condition it must be {wanted}")
+        if t.shape != (batch,):
+            raise ValueError(f"t has shape {tuple(t.shape)}; it must be ({batch},), one timestep per map")
+        time = self.time(t)  # (B, time_width)
+        x = functional.relu(self.enter(x_t))  # (B, width, H/4, W/4)
+        x = self.residual(x, time)
+        x = functional.relu(self.leave(x))
+        x = self.mid(torch.cat([x, condition], dim=1))
+        x = functional.relu(self.mid_modulation(x, time))
+        x = self.decode(x)  # (B, decoder_widths[1], H, W)
+        logits: Tensor = self.output(x)
+        return logits
+
+
+def timestep_embedding(t: Tensor, width: int) -> Tensor:
+    """Cosines and sines of the timestep at `width / 2` periods from 2 pi to 20000 pi steps, (B,) -> (B, width).
+
+    References
+    ----------
+    Vaswani et al., "Attention is all you need", 2017, section 3.5; Ho et al., DDPM, 2020, appendix B.
+    """
+    half = width // 2
+    freq_rad = torch.exp(-math.log(10_000) / half * torch.arange(half, device=t.device, dtype=torch.float32))
+    angle = t.float()[:, None] * freq_rad  # (B, width / 2)
+    return torch.cat([angle.cos(), angle.sin()], dim=1)
+
+
+class _TimeNetwork(nn.Module):
+    """Timestep (B,) to features (B, width)."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.width = width
+        self.first = nn.Linear(width, width)
+        self.second = nn.Linear(width, width)
+
+    def forward(self, t: Tensor) -> Tensor:
+        waves = timestep_embedding(t, self.width).to(self.first.weight.dtype)
+        return functional.silu(self.second(functional.silu(self.first(waves))))
+
+
+class _Modulation(nn.Module):
+    """Scale and shift of each channel by the time: x (1 + scale) + shift; both small at the start."""
+
+    def __init__(self, time_width: int, channels: int) -> None:
+        super().__init__()
+        self.linear = nn.Linear(time_width, 2 * channels)
+        nn.init.normal_(self.linear.weight, std=0.02)
+        nn.init.zeros_(self.linear.bias)
+
+    def forward(self, x: Tensor, time: Tensor) -> Tensor:
+        scale, shift = self.linear(time)[:, :, None, None].chunk(2, dim=1)  # (B, C, 1, 1) each
+        modulated: Tensor = x * (1 + scale) + shift
+        return modulated
+
+
+class _ResidualBlock(nn.Module):
+    """ResNet's basic block, 3x3 convolutions with batch norm, modulated by the time: (B, C, h, w) -> the same."""
+
+    def __init__(self, channels: int, time_width: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(channels, channels, 3, 1, 1, bias=False)
+        self.norm1 = nn.BatchNorm2d(channels)
+        self.modulation = _Modulation(time_width, channels)
+        self.conv2 = nn.Conv2d(channels, channels, 3, 1, 1, bias=False)
+        self.norm2 = nn.BatchNorm2d(channels)
+
+    def forward(self, x: Tensor, time: Tensor) -> Tensor:
+        hidden = functional.relu(self.modulation(self.norm1(self.conv1(x)), time))
+        return functional.relu(x + self.norm2(self.conv2(hidden)))
+
+
+def _output_layer(inputs: int, outputs: int) -> nn.Conv2d:
+    """1x1 convolution whose first channel starts at the path's share of the pixels, so that no loss is lost on it."""
+    layer = nn.Conv2d(inputs, outputs, 1)
+    bias = torch.zeros(outputs)
+    bias[0] = math.log(_PATH_SHARE / (1 - _PATH_SHARE))
+    layer.bias = nn.Parameter(bias)
+    return layer

@@ -1,0 +1,219 @@
+"""Pyramid Vision Transformer v2: a photo to features at four scales, each seeing more of the photo's motion.
+
+Parameters are named as in timm's `pvt_v2_b0` .. `pvt_v2_b5`, so its ImageNet weights load without a map of names.
+Stochastic depth is left out: it has no parameters, and the condition should not change from one call to the next.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor, nn
+from torch.nn import functional
+
+__all__ = ["VARIANTS", "PyramidVisionTransformer", "Variant", "load_backbone"]
+
+_HEADS = (1, 2, 5, 8)
+_REDUCTIONS = (8, 4, 2, 1)  # keys and values are taken on a grid coarser by this factor
+_EPS = 1e-6  # of the blocks' norms; those after a convolution have torch's 1e-5, as the published weights expect
+
+
+class Variant(NamedTuple):
+    """Channels, blocks and expansion of the feed-forward layers in each of the four stages."""
+
+    dims: tuple[int, int, int, int]
+    depths: tuple[int, int, int, int]
+    mlp_ratios: tuple[int, int, int, int] = (8, 8, 4, 4)
+
+
+VARIANTS = {
+    "b0": Variant((32, 64, 160, 256), (2, 2, 2, 2)),
+    "b1": Variant((64, 128, 320, 512), (2, 2, 2, 2)),
+    "b2": Variant((64, 128, 320, 512), (3, 4, 6, 3)),
+    "b3": Variant((64, 128, 320, 512), (3, 4, 18, 3)),
+    "b4": Variant((64, 128, 320, 512), (3, 8, 27, 3)),
+    "b5": Variant((64, 128, 320, 512), (3, 6, 40, 3), (4, 4, 4, 4)),
+}
+
+
+class PyramidVisionTransformer(nn.Module):
+    """PVT v2 without its classification head.
+
+    Parameters
+    ----------
+    variant : str
+        "b0" .. "b5".
+    stages : int
+        Stages to build, 1..4; fewer when the later features are not used.
+
+    References
+    ----------
+    Wang et al., "PVT v2: Improved baselines with pyramid vision transformer", Computational Visual Media 2022.
+    """
+
+    def __init__(self, variant: str, *, stages: int = 4) -> None:
+        super().__init__()
+        if variant not in VARIANTS:
+            raise ValueError(f"variant is {variant!r}; it must be one of {', '.join(VARIANTS)}")
+        if stages not in (1, 2, 3, 4):
+            raise ValueError(f"stages is {stages!r}; it must be 1, 2, 3 or 4")
+        dims, depths, mlp_ratios = VARIANTS[variant]
+        self.variant = variant
+        self.channels = dims[:stages]
+        self.patch_embed = _PatchEmbedding(3, dims[0], kernel=7, stride=4)
+        self.stages = nn.ModuleList(
+            _Stage(dims[i - 1] if i else None, dims[i], depths[i], _HEADS[i], _REDUCTIONS[i], mlp_ratios[i])
+            for i in range(stages)
+        )
+        self.apply(_initialise)
+
+    def forward(self, photo: Tensor) -> list[Tensor]:
+        """Features (B, C_s, H / 2^(s+1), W / 2^(s+1)), s = 1..4, of photos (B, 3, H, W) whose sides are 32 n.
+
+        The photo is normalised by ImageNet's mean and standard deviation; it is the caller who does it.
+        """
+        tokens = self.patch_embed(photo)  # (B, H/4, W/4, C1)
+        features = []
+        for stage in self.stages:
+            feature = stage(tokens)  # (B, C, h, w)
+            features.append(feature)
+            tokens = feature  # the next stage begins with its own patch embedding
+        return features
+
+
+class _PatchEmbedding(nn.Module):
+    """Overlapping patches to tokens: (B, C, H, W) -> (B, H / stride, W / stride, C')."""
+
+    def __init__(self, inputs: int, outputs: int, *, kernel: int, stride: int) -> None:
+        super().__init__()
+        self.proj = nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2)
+        self.norm = nn.LayerNorm(outputs)
+
+    def forward(self, x: Tensor) -> Tensor:
+        tokens: Tensor = self.norm(self.proj(x).permute(0, 2, 3, 1))
+        return tokens
+
+
+class _Stage(nn.Module):
+    """One scale: patch embedding (not in the first stage, whose embedding is the network's), blocks, norm."""
+
+    def __init__(
+        self, inputs: int | None, channels: int, depth: int, heads: int, reduction: int, mlp_ratio: int
+    ) -> None:
+        super().__init__()
+        self.downsample = None if inputs is None else _PatchEmbedding(inputs, channels, kernel=3, stride=2)
+        self.blocks = nn.ModuleList(_Block(channels, heads, reduction, mlp_ratio) for _ in range(depth))
+        self.norm = nn.LayerNorm(channels, eps=_EPS)
+
+    def forward(self, x: Tensor) -> Tensor:
+        if self.downsample is not None:
+            x = self.downsample(x)  # (B, h, w, C)
+        for block in self.blocks:
+            x = block(x)
+        feature: Tensor = self.norm(x).permute(0, 3, 1, 2)  # (B, C, h, w)
+        return feature
+
+
+class _Block(nn.Module):
+    """Attention and feed-forward layer, each normalised first and added to its input; tokens (B, h, w, C)."""
+
+    def __init__(self, channels: int, heads: int, reduction: int, mlp_ratio: int) -> None:
+        super().__init__()
+        self.norm1 = nn.LayerNorm(channels, eps=_EPS)
+        self.attn = _Attention(channels, heads, reduction)
+        self.norm2 = nn.LayerNorm(channels, eps=_EPS)
+        self.mlp = _FeedForward(channels, mlp_ratio * channels)
+
+    def forward(self, x: Tensor) -> Tensor:
+        mixed = x + self.attn(self.norm1(x))
+        out: Tensor = mixed + self.mlp(self.norm2(mixed))
+        return out
+
+
+class _Attention(nn.Module):
+    """Self-attention whose keys and values come from a grid made coarser by a strided convolution."""
+
+    def __init__(self, channels: int, heads: int, reduction: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.q = nn.Linear(channels, channels)
+        self.kv = nn.Linear(channels, 2 * channels)
+        self.proj = nn.Linear(channels, channels)
+        self.sr = nn.Conv2d(channels, channels, reduction, reduction) if reduction > 1 else None
+        self.norm = nn.LayerNorm(channels) if reduction > 1 else None
+
+    def forward(self, x: Tensor) -> Tensor:
+        batch, height, width, channels = x.shape
+        coarse = x
+        if self.sr is not None and self.norm is not None:
+            coarse = self.norm(self.sr(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1))  # (B, h/r, w/r, C)
+        query = self.q(x).view(batch, -1, self.heads, channels // self.heads).transpose(1, 2)  # (B, heads, N, d)
+        pair = self.kv(coarse).view(batch, -1, 2, self.heads, channels // self.heads)
+        key, value = pair.permute(2, 0, 3, 1, 4)  # (B, heads, N / r^2, d) each
+        mixed = functional.scaled_dot_product_attention(query, key, value)
+        out: Tensor = self.proj(mixed.transpose(1, 2).reshape(batch, height, width, channels))
+        return out
+
+
+class _FeedForward(nn.Module):
+    """Two linear layers around a depthwise 3x3 convolution, whose zero padding tells each token where it is."""
+
+    def __init__(self, channels: int, hidden: int) -> None:
+        super().__init__()
+        self.fc1 = nn.Linear(channels, hidden)
+        self.dwconv = nn.Conv2d(hidden, hidden, 3, 1, 1, groups=hidden)
+        self.fc2 = nn.Linear(hidden, channels)
+
+    def forward(self, x: Tensor) -> Tensor:
+        x = self.dwconv(self.fc1(x).permute(0, 3, 1, 2)).permute(0, 2, 3, 1)  # (B, h, w, hidden)
+        out: Tensor = self.fc2(functional.gelu(x))
+        return out
+
+
+def _initialise(module: nn.Module) -> None:
+    """As upstream: truncated normal for linear layers, He by outputs for convolutions, biases 0."""
+    if isinstance(module, nn.Linear):
+        nn.init.trunc_normal_(module.weight, std=0.02)
+    elif isinstance(module, nn.Conv2d):
+        fan_out = module.kernel_size[0] * module.kernel_size[1] * module.out_channels // module.groups
+        nn.init.normal_(module.weight, 0, math.sqrt(2 / fan_out))
+    if isinstance(module, nn.Linear | nn.Conv2d) and module.bias is not None:
+        nn.init.zeros_(module.bias)
+
+
+def load_backbone(model: PyramidVisionTransformer, path: str | Path) -> None:
+    """Load timm's PVT v2 weights into `model`, in place; `head.*` and stages that `model` lacks are ignored.
+
+    Parameters
+    ----------
+    model : PyramidVisionTransformer
+        The `backbone` of a network.
+    path : path of a .safetensors file
+        With timm's names, as `pvt_v2_b0.in1k` has them.
+
+    Raises
+    ------
+    ValueError
+        If `path` is no safetensors file, lacks parameters, has others besides, or is of another variant's size.
+    """
+    try:
+        weights = load_file(path)
+    except SafetensorError as error:
+        raise ValueError(f"path {path} is not a safetensors file ({error}); it must be timm's pvt_v2 weights") from None
+    own = model.state_dict()
+    absent = tuple(f"stages.{i}." for i in range(len(model.stages), 4))
+    weights = {name: value for name, value in weights.items() if not name.startswith(("head.", *absent))}
+    wanted = f"it must hold timm's pvt_v2_{model.variant}"
+    if missing := sorted(own.keys() - weights.keys()):
+        raise ValueError(f"path {path} lacks {len(missing)} of {len(own)} parameters, first {missing[0]}; {wanted}")
+    if extra := sorted(weights.keys() - own.keys()):
+        raise ValueError(f"path {path} has {len(extra)} parameters too many, first {extra[0]}; {wanted}")
+    for name, value in weights.items():
+        if value.shape != own[name].shape:
+            sizes = f"{tuple(value.shape)}, not {tuple(own[name].shape)}"
+            raise ValueError(f"path {path} is of another size: {name} is {sizes}; {wanted}")
+    model.load_state_dict(weights)

@@ -1,0 +1,97 @@
+"""Drawing trajectories from a trained network, and turning their maps into PSFs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from motdiff.diffusion import Schedule, from_signal, samples, to_signal
+from motdiff.network import MotDiffNetwork
+
+__all__ = ["PathSamples", "psfs_of_maps", "sample_paths"]
+
+
+@dataclass(frozen=True)
+class PathSamples:
+    """Trajectories drawn for a batch of photos.
+
+    Attributes
+    ----------
+    path : (B, K, 256, 256) float32
+        Probability of each HR-map pixel to lie on the path; nearly 0 or 1 after enough steps.
+    dwell : (B, K, 256, 256) float32
+        Relative time per pixel; 1 everywhere for a network without that output.
+    """
+
+    path: Tensor
+    dwell: Tensor
+
+    def psfs(self, *, dwell: bool = True) -> Tensor:
+        """PSFs (B, K, 64, 64), with the dwell or (the paper's way) at constant speed."""
+        return psfs_of_maps(self.path * self.dwell if dwell else self.path)
+
+
+def sample_paths(
+    network: MotDiffNetwork,
+    condition: Tensor,
+    *,
+    count: int,
+    schedule: Schedule,
+    steps: int,
+    generator: torch.Generator,
+    method: str = "ddim",
+    eta: float = 0.0,
+) -> PathSamples:
+    """Draw ``count`` trajectories per photo.
+
+    Parameters
+    ----------
+    network : MotDiffNetwork
+        In eval mode.
+    condition : (B, C, h, w) float
+        From ``network.condition``: computed once, used at every step.
+    count : int
+        K.
+    schedule, steps, generator, method, eta
+        As for :func:`motdiff.diffusion.samples`.
+    """
+    batch, _, height, width = condition.shape
+    repeated = condition.repeat_interleave(count, dim=0)
+    speeds = condition.new_ones(batch * count, 1, 4 * height, 4 * width)
+
+    def predict_x0(x_t: Tensor, t: Tensor) -> Tensor:
+        nonlocal speeds
+        logits = network.denoise(x_t.to(condition.dtype), t, repeated)
+        if logits.shape[1] > 1:
+            speeds = functional.softplus(logits[:, 1:])
+        return to_signal(torch.sigmoid(logits[:, :1].float()))
+
+    *_, signal = samples(
+        predict_x0,
+        speeds.shape,
+        schedule=schedule,
+        steps=steps,
+        generator=generator,
+        method=method,
+        eta=eta,
+        device=condition.device,
+    )
+    shape = (batch, count, 4 * height, 4 * width)
+    return PathSamples(from_signal(signal).view(shape), speeds.float().view(shape))
+
+
+def psfs_of_maps(maps: Tensor) -> Tensor:
+    """PSFs (..., 64, 64), sum 1, of non-negative HR maps (..., 256, 256): means over 4 x 4 pixels.
+
+    An empty map becomes a point.
+    """
+    lead = maps.shape[:-2]
+    psfs = functional.avg_pool2d(maps.reshape(-1, 1, *maps.shape[-2:]), 4)[:, 0]
+    point = torch.zeros_like(psfs)
+    point[:, psfs.shape[1] // 2, psfs.shape[2] // 2] = 1
+    total = psfs.sum(dim=(1, 2), keepdim=True)
+    psfs = torch.where(total > 1e-6, psfs / total.clamp(min=1e-6), point)
+    return psfs.reshape(*lead, *psfs.shape[-2:])

@@ -1,0 +1,1 @@
+"""Training of MoTDiff: simulated photos, the loop, checkpoints, and its log."""

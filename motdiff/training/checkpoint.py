@@ -1,0 +1,102 @@
+"""A run's exact state on disk, in files small enough to travel, replaced whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+__all__ = ["PART_BYTES", "Checkpoint", "read_checkpoint", "write_checkpoint"]
+
+PART_BYTES = 15 * 2**20
+_INDEX = "index.json"
+_SCHEMA = "motdiff.checkpoint/1"
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What a run needs to go on.
+
+    Attributes
+    ----------
+    step : int
+        Updates done.
+    tensors : mapping from name to Tensor
+        Weights (``model.``), their average (``ema.``) and Adam's moments (``adam.``).
+    config : mapping
+        The run's configuration as plain values.
+    seconds : float
+        Time spent so far.
+    """
+
+    step: int
+    tensors: Mapping[str, Tensor]
+    config: Mapping[str, object]
+    seconds: float = 0.0
+
+
+def write_checkpoint(folder: Path | str, checkpoint: Checkpoint) -> None:
+    """Write a checkpoint as ``index.json`` and ``part_*.safetensors`` of at most 15 MiB (or one tensor).
+
+    The old one stays whole until the new one is complete.
+    """
+    target = Path(folder)
+    new, old = target.with_name(target.name + ".new"), target.with_name(target.name + ".old")
+    for leftover in (new, old):
+        shutil.rmtree(leftover, ignore_errors=True)
+    new.mkdir(parents=True)
+    parts: list[dict[str, Tensor]] = [{}]
+    room = PART_BYTES
+    for name, tensor in checkpoint.tensors.items():
+        plain = tensor.detach().cpu().contiguous()
+        size = plain.numel() * plain.element_size()
+        if parts[-1] and size > room:
+            parts.append({})
+            room = PART_BYTES
+        parts[-1][name] = plain
+        room -= size
+    files = [f"part_{i:03d}.safetensors" for i in range(len(parts))]
+    for file, part in zip(files, parts, strict=True):
+        save_file(part, new / file)
+    index = {
+        "schema": _SCHEMA,
+        "step": checkpoint.step,
+        "seconds": checkpoint.seconds,
+        "files": files,
+        "config": checkpoint.config,
+    }
+    (new / _INDEX).write_text(json.dumps(index, indent=1), encoding="utf-8")
+    if target.exists():
+        os.rename(target, old)
+    os.rename(new, target)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def read_checkpoint(folder: Path | str, *, device: str | torch.device = "cpu") -> Checkpoint | None:
+    """Read a checkpoint, or the one before where a kill came between the two renames; None where there is none.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds something else.
+    """
+    target = Path(folder)
+    old = target.with_name(target.name + ".old")
+    if not target.exists() and (old / _INDEX).exists():
+        target = old
+    if not (target / _INDEX).exists():
+        return None
+    index = json.loads((target / _INDEX).read_text(encoding="utf-8"))
+    if index.get("schema") != _SCHEMA:
+        raise ValueError(f"{target}: is no {_SCHEMA} checkpoint, its schema is {index.get('schema')!r}")
+    tensors: dict[str, Tensor] = {}
+    for file in index["files"]:
+        tensors.update(load_file(target / file, device=str(device)))
+    return Checkpoint(index["step"], tensors, index["config"], index["seconds"])

@@ -1,0 +1,213 @@
+"""A training run as data: one TOML file, one frozen record; an unknown or wrong entry is an error."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from motdiff.network.config import NetworkConfig
+from motdiff.training.motion_bank import MotionMix
+from motdiff.training.simulation import Photography
+
+__all__ = ["DataConfig", "LossConfig", "OptimiserConfig", "TrainingConfig", "read_config"]
+
+
+@dataclass(frozen=True)
+class DataConfig:
+    """Where the samples come from.
+
+    Attributes
+    ----------
+    photos : str
+        Sharp photos: a folder, or a pack from ``python -m motdiff pack``. Every ``held_out``-th is for validation.
+    held_out : int
+    motions : int
+        Size of the bank of motions; 0 draws new ones for every shard (prepared samples only).
+    prepared : str
+        Folder of prepared samples (``python -m motdiff prepare``) instead of simulation on the fly; "" for none.
+    prepared_validation : str
+    validation : int
+        Number of validation samples.
+    physics_dropout : float
+        Share of physics maps blanked in training, so that the network does not lean on one.
+    """
+
+    photos: str = ""
+    held_out: int = 12
+    motions: int = 20_000
+    prepared: str = ""
+    prepared_validation: str = ""
+    validation: int = 256
+    physics_dropout: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not self.photos and not self.prepared:
+            raise ValueError("data: needs photos, or prepared samples")
+        if bool(self.prepared) != bool(self.prepared_validation):
+            raise ValueError("data.prepared_validation: prepared samples need both folders, or neither")
+        if self.held_out < 2:
+            raise ValueError(f"data.held_out: must be at least 2, got {self.held_out}")
+        if not 0 <= self.physics_dropout < 1:
+            raise ValueError(f"data.physics_dropout: must lie within 0..1, got {self.physics_dropout}")
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """What is minimised.
+
+    Attributes
+    ----------
+    kind : {"structure", "denoising"}
+        Weighted cross-entropy and IoU as the paper's, or the plain squared error of its ablation.
+    path_weight : float
+        The paper's lambda: a path pixel counts this much more than a background pixel.
+    stpd : float
+        Probability that a path pixel is dropped before noising (the paper's p).
+    dwell : float
+        Weight of the dwell output's loss, where the network has one.
+    """
+
+    kind: str = "structure"
+    path_weight: float = 5.0
+    stpd: float = 0.1
+    dwell: float = 0.2
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("structure", "denoising"):
+            raise ValueError(f'loss.kind: must be "structure" or "denoising", got {self.kind!r}')
+        if not 0 <= self.stpd < 1:
+            raise ValueError(f"loss.stpd: must lie within 0..1, got {self.stpd}")
+
+
+@dataclass(frozen=True)
+class OptimiserConfig:
+    """How it is minimised.
+
+    Attributes
+    ----------
+    steps, batch : int
+        Number of updates; samples of each, over all processes together.
+    rate, last_rate : float
+        Adam's rate, from the first to the last along a cosine, after ``warm_up`` steps of linear rise.
+    warm_up : int
+    ema : float
+        Decay of the averaged weights, which are the ones used.
+    clip : float
+        Largest norm of the gradient.
+    precision : {"fp32", "bf16"}
+        bf16 runs the forward pass under autocast.
+    window : int
+        Side of the part of the 64-px field that the denoiser sees in each step, drawn at random; 64 is all. Smaller
+        ones are cheaper: the denoiser is local, the condition always sees everything.
+    compile : bool
+        Whether torch.compile is used.
+    seed : int
+    """
+
+    steps: int = 60_000
+    batch: int = 128
+    rate: float = 1e-4
+    last_rate: float = 1e-6
+    warm_up: int = 200
+    ema: float = 0.999
+    clip: float = 1.0
+    precision: str = "fp32"
+    window: int = 64
+    compile: bool = False
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"optimiser.{name}: must be at least 1, got {getattr(self, name)}")
+        if self.precision not in ("fp32", "bf16"):
+            raise ValueError(f'optimiser.precision: must be "fp32" or "bf16", got {self.precision!r}')
+        if not 8 <= self.window <= 64:
+            raise ValueError(f"optimiser.window: must lie within 8..64, got {self.window}")
+        if not 0 <= self.ema < 1:
+            raise ValueError(f"optimiser.ema: must lie within 0..1, got {self.ema}")
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Everything that decides the result of a run.
+
+    Attributes
+    ----------
+    data, motions, photography, network, loss, optimiser
+        The sections of the file.
+    """
+
+    data: DataConfig
+    motions: MotionMix = field(default_factory=MotionMix)
+    photography: Photography = field(default_factory=Photography)
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+
+    def __post_init__(self) -> None:
+        if self.data.prepared and self.network.backbone != "none":
+            raise ValueError('network.backbone: prepared samples hold no colour photos; it must be "none" with them')
+
+    def as_dict(self) -> dict[str, Any]:
+        """Fields as plain values, ready for JSON."""
+        return asdict(self)
+
+
+_SECTIONS: dict[str, Any] = {
+    "data": DataConfig,
+    "motions": MotionMix,
+    "photography": Photography,
+    "network": NetworkConfig,
+    "loss": LossConfig,
+    "optimiser": OptimiserConfig,
+}
+
+
+def read_config(path: Path | str) -> TrainingConfig:
+    """Read a run's TOML file; paths in it are relative to where the command runs.
+
+    Raises
+    ------
+    ValueError
+        If the file is not TOML, or a section, an entry, a type or a value is not known or wrong; the message names it.
+    """
+    try:
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: is not a TOML file: {error}") from error
+    unknown = set(content) - set(_SECTIONS)
+    if unknown:
+        raise ValueError(f"{path}: unknown section [{min(unknown)}]; known are {', '.join(_SECTIONS)}")
+    if "data" not in content:
+        raise ValueError(f"{path}: needs a section [data] with photos or prepared samples")
+    try:
+        return TrainingConfig(**{name: _section(name, values) for name, values in content.items()})
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _section(name: str, values: object) -> Any:
+    kind = _SECTIONS[name]
+    if not isinstance(values, dict):
+        raise ValueError(f"{name}: must be a section, [{name}]")
+    known = {item.name: item for item in fields(kind)}
+    plain: dict[str, Any] = {}
+    for entry, value in values.items():
+        if entry not in known:
+            raise ValueError(f"{name}.{entry}: is not known; known are {', '.join(known)}")
+        plain[entry] = _typed(f"{name}.{entry}", value, str(known[entry].type))
+    return kind(**plain)
+
+
+def _typed(name: str, value: object, wanted: str) -> object:
+    """TOML's value as the field's type; a whole number may stand for a float."""
+    if wanted == "float" and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if wanted.startswith("tuple") and isinstance(value, list):
+        return tuple(float(v) if "float" in wanted and isinstance(v, int) else v for v in value)
+    if wanted in ("int", "float", "str", "bool") and type(value).__name__ != wanted:
+        raise ValueError(f"{name}: must be of type {wanted}, got {value!r}")
+    return value

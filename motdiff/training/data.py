@@ -1,0 +1,150 @@
+"""Batches for training: simulated on the fly on the training device, or from prepared samples.
+
+A batch depends on the seed, the step and the process's rank alone, so that a run goes on exactly where it stopped.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from motdiff.conditions import autocorrelation, physics_maps, spectral_maps
+from motdiff.training.motion_bank import MotionBank
+from motdiff.training.samples import Samples, mirrored, simulate
+from motdiff.training.simulation import Photography
+
+__all__ = ["Batch", "BatchSource", "LiveSource", "PreparedSource", "seed_of"]
+
+_PREPARING = 64
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What one step sees.
+
+    Attributes
+    ----------
+    photo : (B, 3, 256, 256) float32 or None
+        Display values 0..1; None without a photo encoder.
+    physics : (B, P, 64, 64) float32 or None
+        Physics maps; None where the network takes none.
+    x0, dwell : (B, 1, 256, 256) float32
+        HR map, and relative time per path pixel.
+    """
+
+    photo: Tensor | None
+    physics: Tensor | None
+    x0: Tensor
+    dwell: Tensor
+
+
+class BatchSource(Protocol):
+    """Anything that gives the batch of a step."""
+
+    def batch(self, step: int, size: int, *, rank: int = 0) -> Batch:
+        """Give ``size`` samples for ``step``, others for every ``rank``."""
+        ...
+
+
+class LiveSource:
+    """Samples simulated on the fly: no two steps see the same photo.
+
+    Parameters
+    ----------
+    bank : MotionBank
+    scenes : sequence of (3, H, W) uint8 tensors
+        Sharp photos, on the bank's device.
+    photography : Photography
+    photo, physics : bool
+        What the network takes.
+    seed : int
+    """
+
+    def __init__(
+        self,
+        bank: MotionBank,
+        scenes: Sequence[Tensor],
+        photography: Photography,
+        *,
+        photo: bool,
+        physics: bool,
+        seed: int,
+    ) -> None:
+        self._bank, self._scenes, self._photography = bank, scenes, photography
+        self._photo, self._physics, self._seed = photo, physics, seed
+
+    def batch(self, step: int, size: int, *, rank: int = 0) -> Batch:
+        """Simulate the batch of a step."""
+        seed = seed_of(self._seed, step, rank)
+        device = self._bank.psfs.device
+        draw = torch.Generator().manual_seed(seed)
+        index = torch.randint(len(self._bank), (size,), generator=draw).to(device)
+        samples = simulate(
+            self._bank, self._scenes, index, photography=self._photography, physics=self._physics, seed=seed
+        )
+        grey = samples.photos.mean(dim=1, keepdim=True)
+        physics = physics_maps(grey, samples.kernels) if self._physics else None
+        photo = samples.photos.clamp(0, 1) ** (1 / 2.2) if self._photo else None
+        return Batch(photo, physics, samples.x0, samples.dwell)
+
+
+class PreparedSource:
+    """Prepared samples, shuffled anew every epoch, each turned and mirrored at random.
+
+    Parameters
+    ----------
+    samples : Samples
+        From :func:`motdiff.training.prepared.read_shards`.
+    seed : int
+    symmetries : bool
+        Whether to turn and mirror.
+    """
+
+    def __init__(self, samples: Samples, *, seed: int, symmetries: bool = True) -> None:
+        self._seed, self._symmetries = seed, symmetries
+        parts = torch.split(samples.photos, _PREPARING)
+        self._spectral = torch.cat([spectral_maps(part.float().div(255).square()).half() for part in parts])
+        self._kernels, self._x0, self._dwell = samples.kernels, samples.x0, samples.dwell
+
+    def __len__(self) -> int:
+        return len(self._x0)
+
+    def batch(self, step: int, size: int, *, rank: int = 0) -> Batch:
+        """Gather the batch of a step."""
+        first = step * size
+        epochs = range(first // len(self), (first + size - 1) // len(self) + 1)
+        order = torch.cat([self._order(epoch, rank) for epoch in epochs])
+        index = order[first - epochs[0] * len(self) :][:size]
+        groups = torch.zeros(size, dtype=torch.int64)
+        if self._symmetries:
+            draw = torch.Generator().manual_seed(seed_of(self._seed, step, rank))
+            groups = torch.randint(8, (size,), generator=draw)
+        parts = [self._turned(index[groups == s], s) for s in range(8) if bool((groups == s).any())]
+        physics, x0, dwell = (torch.cat([part[i] for part in parts]) for i in range(3))
+        return Batch(None, physics, x0, dwell)
+
+    def _order(self, epoch: int, rank: int) -> Tensor:
+        draw = torch.Generator().manual_seed(seed_of(self._seed, -1 - epoch, rank))
+        return torch.randperm(len(self), generator=draw)
+
+    def _turned(self, index: Tensor, symmetry: int) -> tuple[Tensor, Tensor, Tensor]:
+        spectral = mirrored(self._spectral[index].float(), symmetry, pitch=1)
+        kernels = mirrored(self._kernels[index].float(), symmetry, pitch=1)
+        peaks = kernels.amax(dim=(-2, -1), keepdim=True).clamp(min=1e-12)
+        physics = torch.cat([spectral, kernels / peaks, autocorrelation(kernels)], dim=1)
+        x0, dwell = (mirrored(maps[index].float(), symmetry, pitch=4) for maps in (self._x0, self._dwell))
+        return physics, x0, dwell
+
+
+def seed_of(*numbers: int) -> int:
+    """Mix whole numbers into one seed, below 2^62."""
+    mixed = 0x9E3779B97F4A7C15
+    for number in numbers:
+        mixed = (mixed ^ (number & 0xFFFFFFFFFFFFFFFF)) * 0xBF58476D1CE4E5B9 & 0xFFFFFFFFFFFFFFFF
+        mixed ^= mixed >> 31
+    return mixed % math.floor(2**62)

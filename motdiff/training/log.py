@@ -1,0 +1,123 @@
+"""What a run tells: a line on the terminal, a CSV file, and a plot of loss and validation MNC."""
+
+from __future__ import annotations
+
+import csv
+import math
+import sys
+import time
+from pathlib import Path
+
+from motdiff.training.loop import Losses
+
+__all__ = ["RunLog", "read_log"]
+
+_FIELDS = ("step", "samples", "loss", "path", "dwell", "gradient", "samples_per_s", "validation_mnc")
+_EVERY_STEPS = 50
+_SMOOTH = 0.95
+
+
+class RunLog:
+    """Log of a run; a later piece goes on in the same files.
+
+    Parameters
+    ----------
+    folder : Path
+        ``log.csv`` and ``progress.png`` go there.
+    steps : int
+        Steps of the whole run, for the time left.
+    speaks : bool
+        False: writes and prints nothing (the other processes of a group).
+    """
+
+    def __init__(self, folder: Path, *, steps: int, speaks: bool = True) -> None:
+        self._folder, self._steps, self._speaks = folder, steps, speaks
+        self._began = time.monotonic()
+        self._done = 0
+        self._loss = math.nan
+        self._last_mnc = math.nan
+        self._live = sys.stderr.isatty()
+
+    def say(self, text: str) -> None:
+        """Print a line."""
+        if self._speaks:
+            print(f"{_cleared(self._live)}{text}", file=sys.stderr, flush=True)  # noqa: T201
+
+    def step(self, step: int, losses: Losses, *, batch: int, seconds: float) -> None:
+        """Note an update; every 50 are one row of the file.
+
+        Parameters
+        ----------
+        step : int
+            Updates done.
+        losses : Losses
+        batch : int
+            Samples per update.
+        seconds : float
+            Time spent over all pieces.
+        """
+        if not self._speaks:
+            return
+        self._done += 1
+        self._loss = losses.total if math.isnan(self._loss) else _SMOOTH * self._loss + (1 - _SMOOTH) * losses.total
+        if step % _EVERY_STEPS:
+            return
+        rate = self._done * batch / (time.monotonic() - self._began)
+        self._row([step, step * batch, self._loss, losses.path, losses.dwell, losses.gradient, rate, math.nan])
+        left_min = (self._steps - step) * batch / rate / 60
+        text = f"step {step}/{self._steps}  loss {self._loss:.4f}  MNC {self._last_mnc:.3f}  {rate:.1f} samples/s"
+        text += f"  {seconds / 60:.0f} min done, {left_min:.0f} left"
+        print(f"{_cleared(self._live)}{text}", end="" if self._live else "\n", file=sys.stderr, flush=True)  # noqa: T201
+
+    def validated(self, step: int, score: float) -> None:
+        """Note a validation and draw the plot anew."""
+        if not self._speaks:
+            return
+        self._last_mnc = score
+        self._row([step, math.nan, self._loss, math.nan, math.nan, math.nan, math.nan, score])
+        self.say(f"step {step}: validation MNC {score:.4f}")
+        self._plot()
+
+    def close(self) -> None:
+        """End the line on the terminal."""
+        if self._speaks and self._live:
+            print(file=sys.stderr)  # noqa: T201
+
+    def _row(self, values: list[float]) -> None:
+        path = self._folder / "log.csv"
+        new = not path.exists()
+        with path.open("a", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            if new:
+                writer.writerow(_FIELDS)
+            writer.writerow(["" if isinstance(v, float) and math.isnan(v) else f"{v:.6g}" for v in values])
+
+    def _plot(self) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        rows = read_log(self._folder / "log.csv")
+        figure = Figure(figsize=(8, 4), layout="constrained")
+        FigureCanvasAgg(figure)
+        left = figure.add_subplot()
+        losses = [(r["step"], r["loss"]) for r in rows if not math.isnan(r["loss"])]
+        left.plot([step for step, _ in losses], [loss for _, loss in losses])
+        left.set(xlabel="step", ylabel="loss (smoothed)")
+        right = left.twinx()
+        scores = [(r["step"], r["validation_mnc"]) for r in rows if not math.isnan(r["validation_mnc"])]
+        right.plot([step for step, _ in scores], [score for _, score in scores], "o-", color="C1", markersize=3)
+        right.set_ylabel("validation MNC", color="C1")
+        figure.savefig(self._folder / "progress.png", dpi=120)
+
+
+def read_log(path: Path | str) -> list[dict[str, float]]:
+    """Rows of a ``log.csv``; what a row does not hold is NaN.
+
+    After a kill, steps since the last checkpoint stand twice: the later row is the one that counts.
+    """
+    with Path(path).open(newline="", encoding="utf-8") as file:
+        return [{name: float(row[name]) if row[name] else math.nan for name in _FIELDS} for row in csv.DictReader(file)]
+
+
+def _cleared(live: bool) -> str:
+    return "\r\x1b[K" if live else ""

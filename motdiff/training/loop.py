@@ -1,0 +1,249 @@
+"""The training loop: one update after another, stoppable anywhere, exact after a resume."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from motdiff.diffusion import Schedule, cosine_schedule, q_sample, stochastic_trajectory_pixel_dropout, to_signal
+from motdiff.losses import denoising_loss, dwell_loss, structure_loss
+from motdiff.network import MotDiffNetwork
+from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from motdiff.training.config import LossConfig, OptimiserConfig, TrainingConfig
+from motdiff.training.data import Batch, BatchSource, seed_of
+
+__all__ = ["Losses", "Trainer", "learning_rate", "loss_of"]
+
+_BETAS = (0.9, 0.999)
+_FIELD_PX = 64
+
+
+@dataclass(frozen=True)
+class Losses:
+    """What one step reports.
+
+    Attributes
+    ----------
+    total, path, dwell : float
+        Loss minimised, its path part, and the dwell part before its weight.
+    gradient : float
+        Norm of the gradient before clipping.
+    """
+
+    total: float
+    path: float
+    dwell: float
+    gradient: float
+
+
+class Trainer:
+    """A run: weights, their average, Adam's moments and the step.
+
+    Parameters
+    ----------
+    config : TrainingConfig
+    device : str or torch.device
+
+    Attributes
+    ----------
+    network : MotDiffNetwork
+        Being trained.
+    average : MotDiffNetwork
+        Exponential average of its weights: the one to use.
+    step : int
+        Updates done.
+    seconds : float
+        Time spent on them, over all pieces of the run.
+    schedule : Schedule
+        Of the noise.
+    """
+
+    def __init__(self, config: TrainingConfig, *, device: str | torch.device = "cpu") -> None:
+        self.config, self.device = config, torch.device(device)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.optimiser.seed)
+            self.network = MotDiffNetwork(config.network)
+            self.average = MotDiffNetwork(config.network)
+        self.average.load_state_dict(self.network.state_dict())
+        for mine in (self.network, self.average):
+            mine.to(self.device)
+            mine.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.average.eval().requires_grad_(False)
+        self.step, self.seconds = 0, 0.0
+        self.schedule = cosine_schedule()
+        self._adam = torch.optim.Adam(self.network.parameters(), lr=config.optimiser.rate, betas=_BETAS)
+        self._rank, self._world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+        model: nn.Module = self.network
+        if self._world > 1:
+            model = nn.parallel.DistributedDataParallel(model)
+        self._model: Callable[..., Tensor] = torch.compile(model) if config.optimiser.compile else model
+
+    @property
+    def leads(self) -> bool:
+        """Whether this process writes files and speaks, where several train together."""
+        return self._rank == 0
+
+    def update(self, source: BatchSource) -> Losses:
+        """Do one step.
+
+        Everything random in it follows from the seed, the step and the rank, so nothing of it needs to be stored.
+        """
+        began = time.monotonic()
+        optimiser = self.config.optimiser
+        seed = seed_of(optimiser.seed, self.step, self._rank)
+        batch = source.batch(self.step, max(1, optimiser.batch // self._world), rank=self._rank)
+        for group in self._adam.param_groups:
+            group["lr"] = learning_rate(self.step, optimiser)
+        self.network.train()
+        forked = [self.device] if self.device.type == "cuda" else []
+        with torch.random.fork_rng(devices=forked):
+            torch.manual_seed(seed)  # the network's dropout
+            generator = torch.Generator(self.device).manual_seed(seed)
+            with self._precision():
+                path, dwell = loss_of(
+                    self._model,
+                    batch,
+                    self.config.loss,
+                    schedule=self.schedule,
+                    generator=generator,
+                    physics_dropout=self.config.data.physics_dropout,
+                    window=optimiser.window,
+                )
+            total = path + self.config.loss.dwell * dwell
+            self._adam.zero_grad(set_to_none=True)
+            total.backward()  # type: ignore[no-untyped-call]
+        gradient = nn.utils.clip_grad_norm_(self.network.parameters(), optimiser.clip)
+        self._adam.step()
+        self._average()
+        self.step += 1
+        told = Losses(float(total.detach()), float(path.detach()), float(dwell.detach()), float(gradient))
+        if not math.isfinite(told.total):
+            raise FloatingPointError(f"the loss became {told.total} at step {self.step}; lower optimiser.rate")
+        self.seconds += time.monotonic() - began
+        return told
+
+    def save(self, folder: Path | str) -> None:
+        """Write the exact state (from the leading process only)."""
+        if not self.leads:
+            return
+        tensors = {f"model.{name}": tensor for name, tensor in self.network.state_dict().items()}
+        tensors |= {f"ema.{name}": tensor for name, tensor in self.average.state_dict().items()}
+        for name, parameter in self.network.named_parameters():
+            state = self._adam.state.get(parameter, {})
+            tensors |= {f"adam.{key}.{name}": state[key] for key in ("exp_avg", "exp_avg_sq") if key in state}
+        write_checkpoint(folder, Checkpoint(self.step, tensors, self.config.as_dict(), self.seconds))
+
+    def resume(self, folder: Path | str) -> bool:
+        """Take up the state of ``folder``; False where there is none.
+
+        Raises
+        ------
+        ValueError
+            If it belongs to another network.
+        """
+        checkpoint = read_checkpoint(folder, device=self.device)
+        if checkpoint is None:
+            return False
+
+        def part(prefix: str) -> dict[str, Tensor]:
+            begin = len(prefix)
+            return {name[begin:]: value for name, value in checkpoint.tensors.items() if name.startswith(prefix)}
+
+        try:
+            self.network.load_state_dict(part("model."))
+            self.average.load_state_dict(part("ema."))
+        except RuntimeError as error:
+            raise ValueError(f"{folder}: its checkpoint belongs to a network of another configuration") from error
+        first, second = part("adam.exp_avg."), part("adam.exp_avg_sq.")
+        for name, parameter in self.network.named_parameters():
+            if name in first:
+                self._adam.state[parameter] = {
+                    "step": torch.tensor(float(checkpoint.step)),
+                    "exp_avg": first[name].clone(memory_format=torch.preserve_format),
+                    "exp_avg_sq": second[name].clone(memory_format=torch.preserve_format),
+                }
+        self.step, self.seconds = checkpoint.step, checkpoint.seconds
+        return True
+
+    def _precision(self) -> torch.autocast | nullcontext[None]:
+        if self.config.optimiser.precision == "bf16":
+            return torch.autocast(self.device.type, dtype=torch.bfloat16)
+        return nullcontext()
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        # early on the average follows fast, as it would otherwise remember the random start
+        decay = min(self.config.optimiser.ema, (1 + self.step) / (10 + self.step))
+        mine = [parameter.detach() for parameter in self.average.parameters()]
+        torch._foreach_lerp_(mine, [parameter.detach() for parameter in self.network.parameters()], 1 - decay)
+        for kept, now in zip(self.average.buffers(), self.network.buffers(), strict=True):
+            kept.copy_(now)
+
+
+def learning_rate(step: int, optimiser: OptimiserConfig) -> float:
+    """Rate of a step: a linear rise, then half a cosine from ``rate`` to ``last_rate``."""
+    if step < optimiser.warm_up:
+        return optimiser.rate * (step + 1) / optimiser.warm_up
+    share = min(1.0, (step - optimiser.warm_up) / max(1, optimiser.steps - optimiser.warm_up))
+    return optimiser.last_rate + (optimiser.rate - optimiser.last_rate) * 0.5 * (1 + math.cos(math.pi * share))
+
+
+def loss_of(
+    model: Callable[..., Tensor],
+    batch: Batch,
+    loss: LossConfig,
+    *,
+    schedule: Schedule,
+    generator: torch.Generator,
+    physics_dropout: float = 0.0,
+    window: int = _FIELD_PX,
+) -> tuple[Tensor, Tensor]:
+    """Path loss and dwell loss of a batch at uniformly drawn timesteps.
+
+    Parameters
+    ----------
+    model : callable
+        ``model(x_t, t, photo, physics)`` to logits, a :class:`MotDiffNetwork`.
+    batch : Batch
+    loss : LossConfig
+    schedule : Schedule
+    generator : torch.Generator
+        On the batch's device.
+    physics_dropout : float
+        Share of physics maps blanked.
+    window : int
+        Side of the part of the 64-px field that is looked at, the same for the whole batch.
+
+    References
+    ----------
+    Choi et al., "MoTDiff", arXiv 2510.26173, equations 6 to 8: pixels are dropped before noising, the target is whole.
+    """
+    device = batch.x0.device
+    size = len(batch.x0)
+    t = torch.randint(schedule.steps, (size,), generator=generator, device=device)
+    signal = to_signal(stochastic_trajectory_pixel_dropout(batch.x0, loss.stpd, generator))
+    noise = torch.randn(signal.shape, generator=generator, device=device)
+    physics = batch.physics
+    if physics is not None and physics_dropout > 0:
+        kept = torch.rand(physics.shape[:2], generator=generator, device=device) >= physics_dropout
+        physics = physics * kept[:, :, None, None]
+    # paths are centred: windows near the middle see them oftener
+    spread = torch.rand(2, 2, generator=generator, device=device).mean(dim=0)
+    row, column = (int(share * (_FIELD_PX - window) + 0.5) for share in spread.tolist())
+    part = (..., slice(4 * row, 4 * (row + window)), slice(4 * column, 4 * (column + window)))
+    x0, dwell_map = batch.x0[part], batch.dwell[part]
+    logits = model(q_sample(schedule, signal[part], t, noise[part]), t, batch.photo, physics, (row, column))
+    if loss.kind == "structure":
+        path = structure_loss(logits[:, :1], x0, path_weight=loss.path_weight)
+    else:
+        path = denoising_loss(logits[:, :1], x0)
+    dwell = dwell_loss(logits[:, 1:], dwell_map, x0) if logits.shape[1] > 1 else torch.zeros_like(path)
+    return path, dwell

@@ -1,0 +1,234 @@
+"""A bank of random motions, drawn once and kept as the tensors that training needs: PSFs, HR maps and dwell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from motdiff.gyro import GyroTrace, read_gyro
+from motdiff.motions import boracchi_foi, quadratic, random_gyro_motion, random_straight
+from motdiff.trajectory import Trajectory
+
+__all__ = ["MAP_PX", "PSF_PX", "MotionBank", "MotionMix", "build_bank", "draw_motion", "dwell_on_map"]
+
+PSF_PX = 64
+MAP_PX = 256
+_TRIES = 100
+_CHUNK = 200
+_TIMES = 6000
+
+
+@dataclass(frozen=True)
+class MotionMix:
+    """Which motions are drawn, and how often.
+
+    Attributes
+    ----------
+    boracchi_foi : float
+        Share of Boracchi-Foi paths of full length ``max_length_px``, as the paper's.
+    boracchi_foi_short : float
+        Share of those with a length uniform over the range.
+    gyro : float
+        Share of real hand shake; needs ``gyro_trace``.
+    straight, quadratic : float
+        Shares of uniform straight motions, and of motions of constant acceleration.
+    min_length_px, max_length_px : float, px
+    min_extent_px, max_extent_px : float, px
+        Range of the larger side of a gyro-driven path.
+    exposure_s : (float, float), seconds
+        Range of exposures of gyro-driven motion.
+    gyro_trace : str
+        Gyroscope recording, see :func:`motdiff.gyro.read_gyro`; "" for none.
+    """
+
+    boracchi_foi: float = 1.0
+    boracchi_foi_short: float = 0.0
+    gyro: float = 0.0
+    straight: float = 0.0
+    quadratic: float = 0.0
+    min_length_px: float = 4.0
+    max_length_px: float = 60.0
+    min_extent_px: float = 8.0
+    max_extent_px: float = 40.0
+    exposure_s: tuple[float, float] = (0.05, 0.5)
+    gyro_trace: str = ""
+
+    def __post_init__(self) -> None:
+        shares = self.shares
+        if min(shares) < 0 or sum(shares) <= 0:
+            raise ValueError(f"motions: the shares must be non-negative and not all zero, got {shares}")
+        if self.gyro > 0 and not self.gyro_trace:
+            raise ValueError("gyro_trace: motions.gyro > 0 needs a gyroscope recording")
+        if not 0 < self.min_length_px <= self.max_length_px:
+            raise ValueError(
+                f"min_length_px: must be positive and at most max_length_px, got {self.min_length_px} "
+                f"and {self.max_length_px}"
+            )
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Weights of the five kinds, in the order of :func:`draw_motion`."""
+        return (self.boracchi_foi, self.boracchi_foi_short, self.gyro, self.straight, self.quadratic)
+
+
+@dataclass(frozen=True)
+class MotionBank:
+    """Motions as tensors, on any device.
+
+    Attributes
+    ----------
+    psfs : (N, 64, 64) float16
+        Each sums to 1 (in float64, before rounding), zero displacement at index 32.
+    pixels : (P,) int32
+        Flat indices of the path pixels of the HR maps (256 x 256), one motion after another.
+    dwell : (P,) float16
+        Time spent at each path pixel, relative to the motion's mean.
+    starts : (N + 1,) int64
+        Where each motion begins within ``pixels``.
+    """
+
+    psfs: Tensor
+    pixels: Tensor
+    dwell: Tensor
+    starts: Tensor
+
+    def __len__(self) -> int:
+        return len(self.psfs)
+
+    def to(self, device: str | torch.device) -> MotionBank:
+        """Copy to a device."""
+        return MotionBank(*(tensor.to(device) for tensor in (self.psfs, self.pixels, self.dwell, self.starts)))
+
+    def targets(self, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Gather motions ``index`` (B,).
+
+        Returns
+        -------
+        psf (B, 64, 64), x0 (B, 1, 256, 256) of 0 and 1, dwell (B, 1, 256, 256); all float32
+        """
+        begin, count = self.starts[index], self.starts[index + 1] - self.starts[index]
+        sample = torch.repeat_interleave(torch.arange(len(index), device=index.device), count)
+        within = torch.arange(int(count.sum()), device=index.device) - torch.repeat_interleave(
+            count.cumsum(0) - count, count
+        )
+        source = begin[sample] + within
+        where = sample * MAP_PX**2 + self.pixels[source].long()
+        x0 = torch.zeros(len(index) * MAP_PX**2, device=index.device)
+        dwell = torch.zeros_like(x0)
+        x0[where] = 1.0
+        dwell[where] = self.dwell[source].float()
+        shape = (len(index), 1, MAP_PX, MAP_PX)
+        return self.psfs[index].float(), x0.view(shape), dwell.view(shape)
+
+
+def draw_motion(mix: MotionMix, rng: np.random.Generator, trace: GyroTrace | None = None) -> Trajectory:
+    """Draw one motion of the mix that fits the 64-px frame.
+
+    Parameters
+    ----------
+    mix : MotionMix
+    rng : numpy.random.Generator
+    trace : GyroTrace, optional
+        The recording, where the mix has gyro-driven motion.
+
+    Raises
+    ------
+    ValueError
+        If no drawn motion fits the frame: the lengths are too large; or the mix has gyro-driven motion and there is no
+        trace.
+    """
+    if mix.gyro > 0 and trace is None:
+        raise ValueError("trace: motions.gyro > 0 needs a gyroscope recording, got none")
+    shares = np.array(mix.shares) / sum(mix.shares)
+    for _ in range(_TRIES):
+        kind = int(rng.choice(len(shares), p=shares))
+        if kind == 0:
+            motion = boracchi_foi(rng, max_length_px=mix.max_length_px)
+        elif kind == 1:
+            motion = boracchi_foi(rng, max_length_px=rng.uniform(mix.min_length_px, mix.max_length_px))
+        elif kind == 2 and trace is not None:
+            extent_px = rng.uniform(mix.min_extent_px, mix.max_extent_px)
+            motion = random_gyro_motion(trace, rng, exposure_s=rng.uniform(*mix.exposure_s), extent_px=extent_px)
+        elif kind == 3:
+            motion = random_straight(rng, min_length_px=mix.min_length_px, max_length_px=mix.max_length_px)
+        else:
+            motion = quadratic(rng, min_length_px=mix.min_length_px, max_length_px=mix.max_length_px)
+        if motion.frame_size() <= PSF_PX:
+            return motion
+    raise ValueError(f"max_length_px: {_TRIES} drawn motions did not fit {PSF_PX} px, got {mix.max_length_px}")
+
+
+def dwell_on_map(motion: Trajectory, hr_map: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Time spent at each path pixel of the HR map, relative to the mean, in row-major order of the path pixels.
+
+    Parameters
+    ----------
+    motion : Trajectory
+    hr_map : (256, 256) 0/1, its :meth:`Trajectory.hr_map`
+
+    Returns
+    -------
+    (P,) float64, mean 1
+    """
+    from scipy.spatial import KDTree
+
+    rows, columns = np.nonzero(hr_map)
+    points = np.column_stack([columns, rows])
+    times = (np.arange(_TIMES) + 0.5) / _TIMES
+    _, nearest = KDTree(points).query(129.5 + 4 * motion.at(times))
+    spent = np.bincount(nearest, minlength=len(points)) * (len(points) / _TIMES)
+    return np.asarray(spent, dtype=np.float64)
+
+
+def build_bank(mix: MotionMix, *, count: int, seed: int, first: int = 0, workers: int = 1) -> MotionBank:
+    """Draw ``count`` motions; motion i depends on (seed, first + i) only, whatever the number of workers.
+
+    Parameters
+    ----------
+    mix : MotionMix
+    count : int
+    seed, first : int
+    workers : int
+        Processes; about 6 ms of one core per motion.
+    """
+    if count < 1:
+        raise ValueError(f"count: must be at least 1, got {count}")
+    last = first + count
+    chunks = [range(start, min(start + _CHUNK, last)) for start in range(first, last, _CHUNK)]
+    draw = partial(_drawn, mix, seed)
+    if workers > 1:
+        with ProcessPoolExecutor(workers) as pool:
+            drawn = [item for chunk in pool.map(draw, chunks) for item in chunk]
+    else:
+        drawn = [item for chunk in chunks for item in draw(chunk)]
+    sizes = [len(pixels) for _, pixels, _ in drawn]
+    return MotionBank(
+        psfs=torch.from_numpy(np.stack([psf for psf, _, _ in drawn])),
+        pixels=torch.from_numpy(np.concatenate([pixels for _, pixels, _ in drawn])),
+        dwell=torch.from_numpy(np.concatenate([dwell for _, _, dwell in drawn])),
+        starts=torch.from_numpy(np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)),
+    )
+
+
+_Drawn = tuple[NDArray[np.float16], NDArray[np.int32], NDArray[np.float16]]
+
+
+def _drawn(mix: MotionMix, seed: int, indices: range) -> list[_Drawn]:
+    trace = read_gyro(Path(mix.gyro_trace)) if mix.gyro > 0 else None
+    return list(_motions(mix, seed, indices, trace))
+
+
+def _motions(mix: MotionMix, seed: int, indices: range, trace: GyroTrace | None) -> Iterator[_Drawn]:
+    for index in indices:
+        motion = draw_motion(mix, np.random.default_rng([seed, index]), trace)
+        hr_map = motion.hr_map()
+        pixels = np.flatnonzero(hr_map).astype(np.int32)
+        yield motion.psf(PSF_PX).astype(np.float16), pixels, dwell_on_map(motion, hr_map).astype(np.float16)

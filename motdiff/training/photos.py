@@ -1,0 +1,161 @@
+"""Sharp photos for training: read from a folder or a pack of JPEGs, cropped at random on the training device."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+__all__ = ["PICTURES", "crops", "load_photos", "pack_photos", "split_photos"]
+
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+
+
+def load_photos(source: Path | str, *, least_px: int, most_px: int = 640, device: str = "cpu") -> list[Tensor]:
+    """Read every photo of a folder (with its subfolders) or of a pack.
+
+    Parameters
+    ----------
+    source : folder, or .zip file from :func:`pack_photos`
+    least_px : int, px
+        Photos with a shorter side are left out.
+    most_px : int, px
+        Photos with a longer short side are shrunk to it: the detail of a full-size photo is softer than a kernel.
+    device : str
+
+    Returns
+    -------
+    list of (3, H, W) uint8 tensors, red green blue, display values
+
+    Raises
+    ------
+    ValueError
+        If there is no photo large enough, a file cannot be read, or photos would be shrunk below ``least_px``.
+    """
+    if most_px < least_px:
+        raise ValueError(f"most_px: must be at least least_px = {least_px}, got {most_px}")
+    photos = [
+        torch.from_numpy(np.ascontiguousarray(_shrunk(image, most_px).transpose(2, 0, 1))).to(device)
+        for _, image in _images(Path(source))
+        if min(image.shape[:2]) >= least_px
+    ]
+    if not photos:
+        raise ValueError(f"{source}: holds no photo of at least {least_px} x {least_px} px")
+    return photos
+
+
+def pack_photos(source: Path | str, target: Path | str, *, most_px: int = 512, quality: int = 92) -> int:
+    """Pack a folder's photos as JPEGs into one .zip file, to travel to another machine.
+
+    Parameters
+    ----------
+    source : folder
+    target : .zip file to write
+    most_px : int, px
+        Photos with a longer short side are shrunk to it.
+    quality : int
+        JPEG quality.
+
+    Returns
+    -------
+    int, bytes written
+
+    Raises
+    ------
+    ValueError
+        If there is no photo.
+    """
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as pack:
+        for number, (name, image) in enumerate(_images(Path(source))):
+            _, encoded = cv2.imencode(".jpg", _shrunk(image, most_px)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+            pack.writestr(f"{number:05d}_{Path(name).stem}.jpg", encoded.tobytes())
+        if not pack.namelist():
+            raise ValueError(f"{source}: holds no photo to pack")
+    Path(target).write_bytes(buffer.getvalue())
+    return len(buffer.getvalue())
+
+
+def split_photos(photos: Sequence[Tensor], held_out: int) -> tuple[list[Tensor], list[Tensor]]:
+    """Split photos into those to train on and every ``held_out``-th for validation.
+
+    Raises
+    ------
+    ValueError
+        If there are too few.
+    """
+    if not 2 <= held_out <= len(photos):
+        raise ValueError(f"held_out: must lie within 2..{len(photos)}, the number of photos; got {held_out}")
+    return [p for i, p in enumerate(photos) if i % held_out], list(photos[::held_out])
+
+
+def crops(photos: Sequence[Tensor], *, count: int, size: int, generator: torch.Generator) -> Tensor:
+    """Cut random square crops, turned and mirrored at random.
+
+    Parameters
+    ----------
+    photos : sequence of (3, H, W) uint8
+    count, size : int
+        Number of crops; their side, px.
+    generator : torch.Generator
+        On the CPU: where the crops lie does not depend on the device.
+
+    Returns
+    -------
+    (count, 3, size, size) float32, display values 0..1, on the photos' device
+
+    Raises
+    ------
+    ValueError
+        If a photo is smaller than the crops.
+    """
+    shortest = min(min(photo.shape[1:]) for photo in photos)
+    if shortest < size:
+        raise ValueError(f"photos: must be at least {size} x {size} px for such crops, got a side of {shortest} px")
+    which = torch.randint(len(photos), (count,), generator=generator).tolist()
+    place = torch.rand(count, 2, generator=generator).tolist()
+    symmetry = torch.randint(8, (count,), generator=generator).tolist()
+    cut = []
+    for index, (down, right), turn in zip(which, place, symmetry, strict=True):
+        photo = photos[index]
+        row = int(down * (photo.shape[1] - size + 1))
+        column = int(right * (photo.shape[2] - size + 1))
+        crop = photo[:, row : row + size, column : column + size]
+        crop = torch.rot90(crop, turn % 4, (1, 2))
+        cut.append(crop.flip(2) if turn >= 4 else crop)
+    return torch.stack(cut).float() / 255
+
+
+def _images(source: Path) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Yield (name, (H, W, 3) uint8 red green blue) in the order of the names."""
+    if source.is_dir():
+        for path in sorted(path for path in source.rglob("*") if path.suffix.lower() in PICTURES):
+            yield path.name, _decoded(path.read_bytes(), path)
+    elif zipfile.is_zipfile(source):
+        with zipfile.ZipFile(source) as pack:
+            for name in sorted(pack.namelist()):
+                yield name, _decoded(pack.read(name), name)
+    else:
+        raise ValueError(f"{source}: must be a folder of photos or a .zip pack of them")
+
+
+def _decoded(data: bytes, name: object) -> NDArray[np.uint8]:
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    if image is None:
+        raise ValueError(f"{name}: cannot be read as a photo")
+    return np.asarray(image[..., ::-1], dtype=np.uint8)
+
+
+def _shrunk(image: NDArray[np.uint8], most_px: int) -> NDArray[np.uint8]:
+    scale = most_px / min(image.shape[:2])
+    if scale >= 1:
+        return image
+    smaller = cv2.resize(np.ascontiguousarray(image), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(smaller, dtype=np.uint8)

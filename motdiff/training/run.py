@@ -1,0 +1,182 @@
+"""One piece of a training run: sources, steps, checkpoints, progress; it ends by steps, time or a signal."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+import torch
+
+from motdiff.metrics import mnc
+from motdiff.sampling import psfs_of_maps, sample_paths
+from motdiff.training.config import TrainingConfig
+from motdiff.training.data import Batch, BatchSource, LiveSource, PreparedSource, seed_of
+from motdiff.training.log import RunLog
+from motdiff.training.loop import Trainer
+from motdiff.training.motion_bank import build_bank
+from motdiff.training.photos import load_photos, split_photos
+from motdiff.training.prepared import read_shards
+from motdiff.training.samples import PHOTO_PX
+
+__all__ = ["Pace", "Sources", "make_sources", "train", "validation_mnc"]
+
+_VALIDATION_SEED = 7
+_VALIDATION_BATCH = 32
+_SAMPLING_STEPS = 10
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Batches to learn from, and the fixed ones to validate on, of other photos and other motions."""
+
+    training: BatchSource
+    validation: tuple[Batch, ...]
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How long one piece lasts, and how often it saves and validates.
+
+    Attributes
+    ----------
+    minutes : float
+        The piece ends after so many (and goes on with the next call).
+    save_s : float, seconds
+        Between two checkpoints.
+    validate_steps : int
+        Updates between two validations.
+    """
+
+    minutes: float = float("inf")
+    save_s: float = 60.0
+    validate_steps: int = 1000
+
+
+def make_sources(config: TrainingConfig, *, device: torch.device | str = "cpu", workers: int = 1) -> Sources:
+    """Read or simulate what the run needs.
+
+    Parameters
+    ----------
+    config : TrainingConfig
+    device : torch.device or str
+        Where photos are simulated.
+    workers : int
+        Processes that draw the bank of motions.
+    """
+    data, seed = config.data, config.optimiser.seed
+    chunks = [min(_VALIDATION_BATCH, data.validation - first) for first in range(0, data.validation, _VALIDATION_BATCH)]
+    if data.prepared:
+        kept = PreparedSource(read_shards(data.prepared_validation), seed=_VALIDATION_SEED, symmetries=False)
+        fixed = [kept.batch(i, n) for i, n in enumerate(chunks) if (i + 1) * n <= len(kept)]
+        return Sources(PreparedSource(read_shards(data.prepared), seed=seed), tuple(fixed))
+    scenes = load_photos(data.photos, least_px=PHOTO_PX + config.photography.margin, device=str(device))
+    seen, unseen = split_photos(scenes, data.held_out)
+    wanted = {"photo": config.network.backbone != "none", "physics": config.network.physics_channels > 0}
+    bank = build_bank(config.motions, count=data.motions, seed=seed, workers=workers).to(device)
+    other = build_bank(config.motions, count=data.validation, seed=seed_of(seed, _VALIDATION_SEED), workers=workers)
+    check = LiveSource(other.to(device), unseen, config.photography, seed=_VALIDATION_SEED, **wanted)
+    return Sources(
+        LiveSource(bank, seen, config.photography, seed=seed, **wanted),
+        tuple(check.batch(i, n) for i, n in enumerate(chunks)),
+    )
+
+
+def train(
+    config: TrainingConfig,
+    folder: Path | str,
+    *,
+    device: str | torch.device = "cpu",
+    pace: Pace | None = None,
+    workers: int = 1,
+) -> Trainer:
+    """Train, or go on training, until the configured steps are done, the time is up, or a signal asks to stop.
+
+    Parameters
+    ----------
+    config : TrainingConfig
+    folder : path
+        Holds ``checkpoint/``, ``log.csv`` and ``progress.png``.
+    device : str
+    pace : Pace, optional
+    workers : int
+        Processes that draw motions.
+    """
+    pace = pace or Pace()
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    distributed = int(os.environ.get("WORLD_SIZE", "1")) > 1
+    if distributed:
+        torch.distributed.init_process_group("nccl" if torch.device(device).type == "cuda" else "gloo")
+    try:
+        trainer = Trainer(config, device=device)
+        resumed = trainer.resume(place / "checkpoint")
+        log = RunLog(place, steps=config.optimiser.steps, speaks=trainer.leads)
+        log.say(f"{'resumed at' if resumed else 'new run, from'} step {trainer.step} of {config.optimiser.steps}")
+        sources = make_sources(config, device=device, workers=workers)
+        began = saved = time.monotonic()
+        with _asked_to_stop() as asked:
+            while trainer.step < config.optimiser.steps:
+                losses = trainer.update(sources.training)
+                now = time.monotonic()
+                log.step(trainer.step, losses, batch=config.optimiser.batch, seconds=trainer.seconds)
+                if trainer.leads and trainer.step % pace.validate_steps == 0:
+                    log.validated(trainer.step, validation_mnc(trainer, sources.validation))
+                over = asked() or now - began > 60 * pace.minutes
+                if now - saved > pace.save_s or over:
+                    trainer.save(place / "checkpoint")
+                    saved = time.monotonic()
+                if over:
+                    break
+        trainer.save(place / "checkpoint")
+        if trainer.leads:
+            log.validated(trainer.step, validation_mnc(trainer, sources.validation))
+            log.close()
+    finally:
+        if distributed:
+            torch.distributed.destroy_process_group()
+    return trainer
+
+
+def validation_mnc(trainer: Trainer, batches: tuple[Batch, ...], *, steps: int = _SAMPLING_STEPS) -> float:
+    """Mean MNC (whole-pixel shifts) of one sample per photo, drawn with the averaged weights, over the batches.
+
+    The truth is the time-weighted HR map's own PSF, so this is for comparing runs, not for reports.
+    """
+    network = trainer.average
+    scores: list[float] = []
+    generator = torch.Generator(trainer.device).manual_seed(_VALIDATION_SEED)
+    with torch.no_grad():
+        for batch in batches:
+            condition = network.condition(batch.photo, batch.physics)
+            drawn = sample_paths(
+                network, condition, count=1, schedule=trainer.schedule, steps=steps, generator=generator
+            )
+            found = drawn.psfs()[:, 0].double().cpu().numpy()
+            truth = psfs_of_maps(batch.dwell[:, 0]).double().cpu().numpy()
+            scores += [mnc(a, b) for a, b in zip(found, truth, strict=True)]
+    return float(np.mean(scores))
+
+
+@contextmanager
+def _asked_to_stop() -> Iterator[Callable[[], bool]]:
+    """Note SIGINT and SIGTERM instead of dying: the step is finished and the state saved. A second one kills."""
+    seen: list[int] = []
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        if seen:
+            raise KeyboardInterrupt
+        seen.append(number)
+
+    previous = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(seen)
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

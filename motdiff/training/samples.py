@@ -1,0 +1,157 @@
+"""Training samples: a simulated photo, what physics says about it, and the motion registered to that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from motdiff.conditions import quick_kernels
+from motdiff.training.motion_bank import MotionBank
+from motdiff.training.photos import crops
+from motdiff.training.simulation import Photography, photographed
+
+__all__ = ["PHOTO_PX", "Samples", "mirrored", "registration", "shifted", "simulate"]
+
+PHOTO_PX = 256
+_KERNEL_BATCH = 8  # on a CPU larger ones fall out of the cache
+_REACH_MAP_PX = 32
+_ALIKE = 0.6  # below, the kernel is lost and says nothing about where the path should lie
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A batch of samples.
+
+    Attributes
+    ----------
+    photos : (B, 3, 256, 256) float32, 0..1, light as decoded
+    kernels : (B, K, 64, 64) float32
+        Quick classical kernels; K = 0 when physics is not asked for.
+    x0 : (B, 1, 256, 256) float32, 0 or 1
+        HR maps of the true motions.
+    dwell : (B, 1, 256, 256) float32
+        Relative time per path pixel.
+    """
+
+    photos: Tensor
+    kernels: Tensor
+    x0: Tensor
+    dwell: Tensor
+
+    def __len__(self) -> int:
+        return len(self.photos)
+
+
+def simulate(
+    bank: MotionBank,
+    scenes: Sequence[Tensor],
+    index: Tensor,
+    *,
+    photography: Photography,
+    physics: bool,
+    seed: int,
+) -> Samples:
+    """Take one photo per motion of the bank, each of another scene.
+
+    Parameters
+    ----------
+    bank : MotionBank
+    scenes : sequence of (3, H, W) uint8
+        Sharp photos on the bank's device.
+    index : (B,) int64
+        Motions to use, on the bank's device.
+    photography : Photography
+    physics : bool
+        Whether to run the quick classical searches and to register the motions to their kernels.
+    seed : int
+        Everything random follows from it.
+    """
+    device = index.device
+    on_cpu = torch.Generator().manual_seed(seed)
+    on_device = torch.Generator(device).manual_seed(seed)
+    psfs, x0, dwell = bank.targets(index)
+    size = PHOTO_PX + photography.margin
+    sharp = crops(scenes, count=len(index), size=size, generator=on_cpu)
+    photos, sigma = photographed(sharp, psfs, photography=photography, generator=on_device)
+    kernels = photos.new_zeros(len(index), 0, 64, 64)
+    if physics:
+        grey = photos.mean(dim=1, keepdim=True)
+        step = _KERNEL_BATCH if device.type == "cpu" else len(index)
+        parts = [
+            quick_kernels(grey[i : i + step], sigma=float(sigma[i : i + step].median()))
+            for i in range(0, len(index), step)
+        ]
+        kernels = torch.cat(parts)
+        move = registration(kernels, dwell)
+        x0, dwell = shifted(x0, move), shifted(dwell, move)
+    return Samples(photos, kernels, x0, dwell)
+
+
+def registration(kernels: Tensor, dwell: Tensor) -> Tensor:
+    """Shift of the motion that lays it on the most alike of its kernels.
+
+    A photo says nothing about where the path lies, so a classical kernel sits a pixel or two off the truth; pixel by
+    pixel losses would punish that.
+
+    Parameters
+    ----------
+    kernels : (B, K, 64, 64) float
+    dwell : (B, 1, 256, 256) float
+        HR maps weighted by time.
+
+    Returns
+    -------
+    (B, 2) int64, HR-map pixels down and right; 0 where every kernel is lost
+    """
+    if kernels.shape[1] == 0:
+        return torch.zeros(len(dwell), 2, dtype=torch.int64, device=dwell.device)
+    fine = functional.interpolate(kernels, scale_factor=4, mode="nearest")
+    fine = functional.avg_pool2d(fine, 5, 1, 2)
+    truth = functional.avg_pool2d(functional.avg_pool2d(dwell, 3, 1, 1), 5, 1, 2)
+    spectrum = torch.fft.rfft2(fine) * torch.fft.rfft2(truth).conj()
+    reach = _REACH_MAP_PX
+    lags = torch.fft.irfft2(spectrum, s=fine.shape[-2:]).roll((reach, reach), (-2, -1))
+    lags = lags[..., : 2 * reach + 1, : 2 * reach + 1]
+    norms = fine.square().sum(dim=(-2, -1)).sqrt() * truth.square().sum(dim=(-2, -1)).sqrt()
+    alike, where = (lags / norms[..., None, None].clamp(min=1e-12)).flatten(1).max(dim=1)
+    side = 2 * reach + 1
+    where = where % (side * side)
+    move = torch.stack([where // side, where % side], dim=1) - reach
+    return torch.where(alike[:, None] >= _ALIKE, move, torch.zeros_like(move))
+
+
+def shifted(maps: Tensor, move: Tensor) -> Tensor:
+    """Move each map (B, C, H, W) by whole pixels (B, 2), down and right; what leaves the frame is lost."""
+    batch, channels, height, width = maps.shape
+    row = torch.arange(height, device=maps.device)[None, :] - move[:, :1]
+    column = torch.arange(width, device=maps.device)[None, :] - move[:, 1:]
+    inside = ((row >= 0) & (row < height))[:, None, :, None] & ((column >= 0) & (column < width))[:, None, None, :]
+    rows = row.clamp(0, height - 1)[:, None, :, None].expand(batch, channels, height, width)
+    columns = column.clamp(0, width - 1)[:, None, None, :].expand(batch, channels, height, width)
+    moved: Tensor = maps.gather(2, rows).gather(3, columns) * inside
+    return moved
+
+
+def mirrored(maps: Tensor, symmetry: int, *, pitch: int) -> Tensor:
+    """Turn or mirror maps (B, C, H, W) about the zero displacement, one of the 8 symmetries of the square.
+
+    The zero lies at index ``H // 2`` of a PSF's grid and at ``129.5`` of the HR map, half a PSF pixel off the array's
+    middle: a flipped axis must be moved by one PSF pixel.
+
+    Parameters
+    ----------
+    maps : (B, C, H, W)
+    symmetry : int, 0..7
+        1: rows flipped; 2: columns flipped; 4: transposed; added up.
+    pitch : int
+        Map pixels per PSF pixel: 1 for PSFs and physics maps, 4 for HR maps; 0 for photos, which have no centre.
+    """
+    if symmetry & 1:
+        maps = maps.flip(2).roll(pitch, 2)
+    if symmetry & 2:
+        maps = maps.flip(3).roll(pitch, 3)
+    return maps.transpose(2, 3) if symmetry & 4 else maps

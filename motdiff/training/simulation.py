@@ -1,0 +1,126 @@
+"""From sharp crops and PSFs to blurred photos, in batches on the training device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from motdiff.training.jpeg import jpeg_loss
+
+__all__ = ["Photography", "blurred", "photographed"]
+
+
+@dataclass(frozen=True)
+class Photography:
+    """How the simulated photos are taken.
+
+    Attributes
+    ----------
+    borders : {"real", "symmetric"}
+        "real": light comes from beyond the frame. "symmetric": the scene is mirrored there, as the paper's.
+    most_noise : float
+        Largest standard deviation of the noise, full scale 1; small ones are likelier (most_noise times u squared).
+    gammas : (float, float)
+        Range of the exponent that turns display values into light; half of the photos have 1 (values taken as light).
+    wrong_gamma : float
+        Share of photos whose light is decoded with a wrong exponent, so that the blur is not quite a convolution.
+    gains : (float, float)
+        Range of the exposure's factor; above 1 the lights are clipped.
+    jpeg : float
+        Share of photos that went through JPEG.
+    qualities : (float, float)
+        Range of its quality.
+    """
+
+    borders: str = "real"
+    most_noise: float = 0.03
+    gammas: tuple[float, float] = (1.4, 2.6)
+    wrong_gamma: float = 0.2
+    gains: tuple[float, float] = (0.6, 1.15)
+    jpeg: float = 0.3
+    qualities: tuple[float, float] = (60.0, 98.0)
+
+    def __post_init__(self) -> None:
+        if self.borders not in ("real", "symmetric"):
+            raise ValueError(f'borders: must be "real" or "symmetric", got {self.borders!r}')
+        if not 0 <= self.most_noise < 1:
+            raise ValueError(f"most_noise: must lie within 0..1, got {self.most_noise}")
+
+    @property
+    def margin(self) -> int:
+        """Pixels that the sharp crop must have more than the photo, for 64-px PSFs."""
+        return 63 if self.borders == "real" else 0
+
+
+def blurred(sharp: Tensor, psfs: Tensor) -> Tensor:
+    """Blur with real borders: only pixels whose whole light comes from within the crop.
+
+    Parameters
+    ----------
+    sharp : (B, C, H, W) float
+    psfs : (B, S, S) float, zero displacement at index ``S // 2``
+
+    Returns
+    -------
+    (B, C, H - S + 1, W - S + 1) float
+    """
+    height, width = sharp.shape[-2:]
+    size = psfs.shape[-1]
+    frame = (height + height % 2, width + width % 2)  # what wraps around is cut away
+    spectrum = torch.fft.rfft2(sharp, s=frame) * torch.fft.rfft2(psfs, s=frame)[:, None]
+    valid: Tensor = torch.fft.irfft2(spectrum, s=frame)[..., size - 1 : height, size - 1 : width]
+    return valid
+
+
+def photographed(
+    sharp: Tensor, psfs: Tensor, *, photography: Photography, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Take the photos of sharp crops that a moving camera would.
+
+    Parameters
+    ----------
+    sharp : (B, 3, H, W) float32, display values 0..1
+        With ``photography.margin`` pixels more than the photo on both axes.
+    psfs : (B, 64, 64) float32, sum 1
+    photography : Photography
+    generator : torch.Generator
+        On the device of ``sharp``.
+
+    Returns
+    -------
+    photos : (B, 3, h, w) float32, 0..1, light as the photographer decodes it
+    sigma : (B,) float32, standard deviation of the noise
+    """
+    batch, device = sharp.shape[0], sharp.device
+
+    def uniform(low: float, high: float) -> Tensor:
+        return low + (high - low) * torch.rand(batch, generator=generator, device=device)
+
+    def with_share(share: float) -> Tensor:
+        return torch.rand(batch, generator=generator, device=device) < share
+
+    gamma = torch.where(with_share(0.5), torch.ones(batch, device=device), uniform(*photography.gammas))
+    each = (slice(None), None, None, None)
+    light = sharp ** gamma[each] * uniform(*photography.gains)[each]
+    if photography.borders == "symmetric":
+        light = _mirrored(light, psfs.shape[-1])
+    sigma = photography.most_noise * torch.rand(batch, generator=generator, device=device).square()
+    photo = blurred(light, psfs)
+    photo = photo + sigma[each] * torch.randn(photo.shape, generator=generator, device=device)
+    display = photo.clamp(0, 1) ** (1 / gamma[each])
+    lossy = jpeg_loss(display, uniform(*photography.qualities))
+    display = torch.where(with_share(photography.jpeg)[each], lossy, (255 * display).round() / 255)
+    decoding = torch.where(with_share(photography.wrong_gamma), uniform(0.7, 1.4), torch.ones(batch, device=device))
+    return display ** (gamma * decoding)[each], sigma
+
+
+def _mirrored(light: Tensor, size: int) -> Tensor:
+    """Mirror beyond the borders, the edge pixel repeated, by what a PSF of ``size`` px reaches."""
+    before, after = size - 1 - size // 2, size // 2
+    for axis in (2, 3):
+        first = light.narrow(axis, 0, before).flip(axis)
+        last = light.narrow(axis, light.shape[axis] - after, after).flip(axis)
+        light = torch.cat([first, light, last], dim=axis)
+    return light

@@ -1,0 +1,100 @@
+"""Trained weights: one small safetensors file that says itself which network it belongs to."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from motdiff.files import write_bytes_atomically
+from motdiff.network import MotDiffNetwork, NetworkConfig
+from motdiff.training.checkpoint import read_checkpoint
+
+__all__ = ["DEFAULT_WEIGHTS", "export_weights", "load_network", "read_card"]
+
+DEFAULT_WEIGHTS = Path(__file__).with_name("motdiff.safetensors")
+_SCHEMA = "motdiff.weights/1"
+
+
+def export_weights(checkpoint: Path | str, target: Path | str, *, card: Mapping[str, object] | None = None) -> int:
+    """Write the averaged weights of a run as float16, with its configuration in the header.
+
+    Parameters
+    ----------
+    checkpoint : folder of a checkpoint
+    target : .safetensors file to write
+    card : mapping, optional
+        What else should stand in the header: figures, data.
+
+    Returns
+    -------
+    int, bytes written
+
+    Raises
+    ------
+    ValueError
+        If there is no checkpoint.
+    """
+    found = read_checkpoint(checkpoint)
+    if found is None:
+        raise ValueError(f"{checkpoint}: holds no checkpoint")
+    tensors = {
+        name.removeprefix("ema."): tensor.half() if tensor.is_floating_point() else tensor
+        for name, tensor in found.tensors.items()
+        if name.startswith("ema.")
+    }
+    header = {
+        "schema": _SCHEMA,
+        "config": json.dumps(found.config),
+        "step": str(found.step),
+        "seconds": f"{found.seconds:.0f}",
+        "card": json.dumps(dict(card or {})),
+    }
+    data = save({name: tensor.contiguous() for name, tensor in tensors.items()}, header)
+    write_bytes_atomically(Path(target), data)
+    return len(data)
+
+
+def load_network(path: Path | str = DEFAULT_WEIGHTS, *, device: str | torch.device = "cpu") -> MotDiffNetwork:
+    """Build the network that a weights file belongs to, in eval mode and float32.
+
+    Raises
+    ------
+    ValueError
+        If the file is not one of ours.
+    """
+    header = read_card(path)
+    network = MotDiffNetwork(NetworkConfig.from_dict(header["config"]["network"]))
+    with safe_open(str(path), framework="pt", device=str(device)) as file:
+        state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, not a dict
+    try:
+        network.load_state_dict({name: t.float() if t.is_floating_point() else t for name, t in state.items()})
+    except RuntimeError as error:
+        raise ValueError(f"{path}: its tensors do not fit the network in its own header") from error
+    network.to(device)
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network.eval().requires_grad_(False)
+
+
+def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
+    """Read what a weights file says of itself: ``config``, ``card``, and ``run`` (steps, seconds).
+
+    Raises
+    ------
+    ValueError
+        If the file is not one of ours.
+    """
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            header = file.metadata() or {}
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"{path}: cannot be read as weights: {error}") from error
+    if header.get("schema") != _SCHEMA:
+        raise ValueError(f"{path}: is no {_SCHEMA} file, its schema is {header.get('schema')!r}")
+    run: dict[str, Any] = {"steps": int(header["step"]), "seconds": float(header["seconds"])}
+    return {"config": json.loads(header["config"]), "card": json.loads(header["card"]), "run": run}
