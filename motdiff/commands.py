@@ -18,6 +18,7 @@ examples:
   python -m motdiff prepare configs/cpu.toml -o samples --shards 0:100
   python -m motdiff train configs/cpu.toml -o run --minutes 30
   python -m motdiff export run -o motdiff.safetensors
+  python -m motdiff eval --set paper --set gyro --photos photos/ --gyro gyro.txt --weights motdiff.safetensors
 """
 
 
@@ -27,13 +28,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
         prog="python -m motdiff", epilog=_EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for add in (_add_train, _add_prepare, _add_pack, _add_export):
+    for add in (_add_train, _add_prepare, _add_pack, _add_export, _add_eval):
         add(commands)
     given = parser.parse_args(arguments)
     command: Callable[[argparse.Namespace], None] = given.command
     try:
         command(given)
-    except (ValueError, FileNotFoundError, FileExistsError, NotADirectoryError) as error:
+    except (ValueError, FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError) as error:
         return _told(error, 2)
     except (OSError, FloatingPointError) as error:
         return _told(error, 1)
@@ -43,7 +44,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _told(error: object, code: int) -> int:
-    print(f"error: {str(error).splitlines()[0]}", file=sys.stderr)  # noqa: T201
+    line = (str(error) or type(error).__name__).splitlines()[0]
+    print(f"error: {line}", file=sys.stderr)  # noqa: T201
     return code
 
 
@@ -62,21 +64,33 @@ def _add_train(commands: _Commands[argparse.ArgumentParser]) -> None:
 
 
 def _train(given: argparse.Namespace) -> None:
-    import torch
-
     from motdiff.training.config import read_config
     from motdiff.training.run import Pace, train
 
-    device = given.device or (f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu")
-    if device.startswith("cuda"):
-        torch.cuda.set_device(device)
     train(
         read_config(given.config),
         given.out,
-        device=device,
+        device=_device(given.device),
         pace=Pace(minutes=given.minutes, save_s=given.save_every, validate_steps=given.validate_every),
         workers=os.cpu_count() or 1,
     )
+
+
+def _device(wanted: str) -> str:
+    import torch
+
+    there = torch.cuda.is_available()
+    name = wanted or ("cuda" if there else "cpu")
+    if name == "cuda":
+        name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}"  # torchrun's: one GPU for each process
+    kind, _, number = name.partition(":")
+    if kind not in ("cpu", "cuda") or (number and not number.isdecimal()):
+        raise ValueError(f"--device: must be cpu, cuda or cuda:NUMBER, got {wanted!r}")
+    if kind == "cuda":
+        if not there or int(number) >= torch.cuda.device_count():
+            raise ValueError(f"--device: there is no GPU {name} here, use --device cpu")
+        torch.cuda.set_device(name)
+    return name
 
 
 def _add_prepare(commands: _Commands[argparse.ArgumentParser]) -> None:
@@ -97,10 +111,7 @@ def _prepare(given: argparse.Namespace) -> None:
     from motdiff.training.samples import PHOTO_PX
 
     torch.set_num_threads(1)  # the arrays are small: more threads only wait for each other
-    try:
-        shards = range(*(int(number) for number in given.shards.split(":")))
-    except (TypeError, ValueError):
-        raise ValueError(f"--shards: must be FIRST:LAST or FIRST:LAST:STEP, got {given.shards!r}") from None
+    shards = _shards(given.shards)
     config = read_config(given.config)
     if not config.data.photos:
         raise ValueError(f"{given.config}: data.photos is needed to prepare samples")
@@ -115,6 +126,17 @@ def _prepare(given: argparse.Namespace) -> None:
         seed=config.optimiser.seed + (1 if given.held_out else 0),
         told=lambda shard: print(f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True),  # noqa: T201
     )
+
+
+def _shards(text: str) -> range:
+    try:
+        first, last, *step = (int(number) for number in text.split(":"))
+        shards = range(first, last, *step)
+    except (TypeError, ValueError):
+        raise ValueError(f"--shards: must be FIRST:LAST or FIRST:LAST:STEP, got {text!r}") from None
+    if not shards or min(shards) < 0:
+        raise ValueError(f"--shards: must hold numbers from 0 upwards, FIRST below LAST, got {text!r}")
+    return shards
 
 
 def _add_pack(commands: _Commands[argparse.ArgumentParser]) -> None:
@@ -145,3 +167,69 @@ def _export(given: argparse.Namespace) -> None:
 
     size = export_weights(given.run / "checkpoint", given.out)
     print(f"{given.out}: {size / 2**20:.1f} MiB", file=sys.stderr)  # noqa: T201
+
+
+def _add_eval(commands: _Commands[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser("eval", help="measure estimators where the motion is known")
+    parser.add_argument(
+        "--set", dest="sets", action="append", default=[], metavar="SET", help="paper, boracchi-foi or gyro; repeatable"
+    )
+    parser.add_argument("--photos", type=Path, help="sharp photos for the simulated sets: a folder, or a pack")
+    parser.add_argument("--gyro", type=Path, metavar="FILE", help="gyroscope recording for the set gyro")
+    parser.add_argument("--levin", type=Path, metavar="DIR", help="Levin's .mat files: adds the set levin")
+    parser.add_argument(
+        "--method", dest="methods", action="append", default=[], metavar="METHOD",
+        help="pmp or motdiff; repeatable; pmp, and motdiff where there are --weights",
+    )  # fmt: skip
+    parser.add_argument(
+        "--weights", type=Path, action="append", default=[], metavar="FILE",
+        help="weights of motdiff; several give a row each, named by the file's stem",
+    )  # fmt: skip
+    parser.add_argument("--count", type=int, default=24, help="photos per simulated set")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--sigma", type=float, help="noise, full scale 1, instead of each set's own (0; 0.01; 0.01)")
+    parser.add_argument("--grey", action="store_true", help="photos of one channel instead of colour")
+    parser.add_argument("--no-restore", action="store_true", help="leave out PSNR and SSIM")
+    parser.add_argument("--shown", type=int, default=8, metavar="N", help="cases on each contact sheet")
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout instead of tables")
+    parser.add_argument("-o", "--out", type=Path, default=Path("out/eval"), help="folder of rows, tables and pictures")
+    parser.set_defaults(command=_eval)
+
+
+def _eval(given: argparse.Namespace) -> None:
+    import json
+
+    from motdiff.evaluation.methods import named_estimators
+    from motdiff.evaluation.report import report_document, report_text, write_report
+    from motdiff.evaluation.run import evaluate, levin_set, simulated_sets
+
+    if not given.sets and given.levin is None:
+        raise ValueError("--set: name at least one of paper, boracchi-foi and gyro, or give --levin DIR")
+    if given.sets and given.photos is None:
+        raise ValueError("--photos: the simulated sets need sharp photos, a folder or a pack")
+    methods = given.methods or (["pmp", "motdiff"] if given.weights else ["pmp"])
+    estimators = named_estimators(methods, given.weights)
+    sets = [] if given.levin is None else [levin_set(given.levin)]
+    if given.sets:
+        sets += simulated_sets(
+            given.sets,
+            given.photos,
+            count=given.count,
+            seed=given.seed,
+            sigma=given.sigma,
+            gyro_trace=given.gyro,
+            grey=given.grey,
+        )
+    outcome = evaluate(
+        sets,
+        estimators,
+        given.out,
+        restore=not given.no_restore,
+        shown=given.shown,
+        told=lambda line: print(line, file=sys.stderr, flush=True),  # noqa: T201
+    )
+    document = report_document(outcome, {name: value for name, value in vars(given).items() if name != "command"})
+    write_report(outcome, document, given.out)
+    print(json.dumps(document) if given.json else report_text(outcome))  # noqa: T201
+    if outcome.stopped:
+        raise KeyboardInterrupt

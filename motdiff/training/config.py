@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -49,8 +50,12 @@ class DataConfig:
             raise ValueError("data.prepared_validation: prepared samples need both folders, or neither")
         if self.held_out < 2:
             raise ValueError(f"data.held_out: must be at least 2, got {self.held_out}")
+        if self.validation < 1:
+            raise ValueError(f"data.validation: must be at least 1, got {self.validation}")
+        if self.motions < 1 and not self.prepared:
+            raise ValueError(f"data.motions: must be at least 1 without prepared samples, got {self.motions}")
         if not 0 <= self.physics_dropout < 1:
-            raise ValueError(f"data.physics_dropout: must lie within 0..1, got {self.physics_dropout}")
+            raise ValueError(f"data.physics_dropout: must be at least 0 and below 1, got {self.physics_dropout}")
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,8 @@ class LossConfig:
         Weighted cross-entropy and IoU as the paper's, or the plain squared error of its ablation.
     path_weight : float
         The paper's lambda: a path pixel counts this much more than a background pixel.
+    iou : float
+        Weight of the IoU part; 1 as the paper's, 0 leaves the cross-entropy alone.
     stpd : float
         Probability that a path pixel is dropped before noising (the paper's p).
     dwell : float
@@ -71,6 +78,7 @@ class LossConfig:
 
     kind: str = "structure"
     path_weight: float = 5.0
+    iou: float = 1.0
     stpd: float = 0.1
     dwell: float = 0.2
 
@@ -78,7 +86,10 @@ class LossConfig:
         if self.kind not in ("structure", "denoising"):
             raise ValueError(f'loss.kind: must be "structure" or "denoising", got {self.kind!r}')
         if not 0 <= self.stpd < 1:
-            raise ValueError(f"loss.stpd: must lie within 0..1, got {self.stpd}")
+            raise ValueError(f"loss.stpd: must be at least 0 and below 1, got {self.stpd}")
+        for name in ("path_weight", "dwell"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"loss.{name}: must be at least 0, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True)
@@ -122,12 +133,20 @@ class OptimiserConfig:
         for name in ("steps", "batch"):
             if getattr(self, name) < 1:
                 raise ValueError(f"optimiser.{name}: must be at least 1, got {getattr(self, name)}")
+        for name in ("rate", "clip"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"optimiser.{name}: must be above 0, got {getattr(self, name)}")
+        for name in ("last_rate", "warm_up"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"optimiser.{name}: must be at least 0, got {getattr(self, name)}")
+        if not 0 <= self.seed < 2**32:
+            raise ValueError(f"optimiser.seed: must lie within 0..2^32 - 1, got {self.seed}")
         if self.precision not in ("fp32", "bf16"):
             raise ValueError(f'optimiser.precision: must be "fp32" or "bf16", got {self.precision!r}')
         if not 8 <= self.window <= 64:
             raise ValueError(f"optimiser.window: must lie within 8..64, got {self.window}")
         if not 0 <= self.ema < 1:
-            raise ValueError(f"optimiser.ema: must lie within 0..1, got {self.ema}")
+            raise ValueError(f"optimiser.ema: must be at least 0 and below 1, got {self.ema}")
 
 
 @dataclass(frozen=True)
@@ -199,15 +218,24 @@ def _section(name: str, values: object) -> Any:
         if entry not in known:
             raise ValueError(f"{name}.{entry}: is not known; known are {', '.join(known)}")
         plain[entry] = _typed(f"{name}.{entry}", value, str(known[entry].type))
-    return kind(**plain)
+    try:
+        return kind(**plain)
+    except ValueError as error:  # the sections that others own too do not know that they are one
+        text = str(error)
+        raise ValueError(text if text.startswith(f"{name}") else f"{name}.{text}") from error
 
 
 def _typed(name: str, value: object, wanted: str) -> object:
     """TOML's value as the field's type; a whole number may stand for a float."""
     if wanted == "float" and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    if wanted.startswith("tuple") and isinstance(value, list):
-        return tuple(float(v) if "float" in wanted and isinstance(v, int) else v for v in value)
-    if wanted in ("int", "float", "str", "bool") and type(value).__name__ != wanted:
+    if wanted.startswith("tuple["):
+        kinds = wanted.removeprefix("tuple[").removesuffix("]").split(", ")
+        if not isinstance(value, list) or len(value) != len(kinds):
+            raise ValueError(f"{name}: must be a list of {len(kinds)} numbers, got {value!r}")
+        return tuple(_typed(name, item, kind) for item, kind in zip(value, kinds, strict=True))
+    if type(value).__name__ != wanted:
         raise ValueError(f"{name}: must be of type {wanted}, got {value!r}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{name}: must be a finite number, got {value!r}")
     return value

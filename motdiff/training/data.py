@@ -14,13 +14,15 @@ import torch
 from torch import Tensor
 
 from motdiff.conditions import autocorrelation, physics_maps, spectral_maps
+from motdiff.grids import mirrored
 from motdiff.training.motion_bank import MotionBank
-from motdiff.training.samples import Samples, mirrored, simulate
+from motdiff.training.samples import Samples, simulate
 from motdiff.training.simulation import Photography
 
 __all__ = ["Batch", "BatchSource", "LiveSource", "PreparedSource", "seed_of"]
 
 _PREPARING = 64
+_MOTIONS, _PHOTOS = 1, 2  # one seed for both would give each motion the same scene every time
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Batch:
     Attributes
     ----------
     photo : (B, 3, 256, 256) float32 or None
-        Display values 0..1; None without a photo encoder.
+        Luminance as display values 0..1; None without a photo encoder.
     physics : (B, P, 64, 64) float32 or None
         Physics maps; None where the network takes none.
     x0, dwell : (B, 1, 256, 256) float32
@@ -41,6 +43,22 @@ class Batch:
     physics: Tensor | None
     x0: Tensor
     dwell: Tensor
+
+    def __len__(self) -> int:
+        return len(self.x0)
+
+    def to(self, device: str | torch.device) -> Batch:
+        """Copy to a device; what is there already stays."""
+        photo, physics = (None if maps is None else maps.to(device) for maps in (self.photo, self.physics))
+        return Batch(photo, physics, self.x0.to(device), self.dwell.to(device))
+
+    def split(self, size: int) -> list[Batch]:
+        """Cut into batches of ``size``; the last may be smaller."""
+        return [self._part(slice(first, first + size)) for first in range(0, len(self), size)]
+
+    def _part(self, part: slice) -> Batch:
+        photo, physics = (None if maps is None else maps[part] for maps in (self.photo, self.physics))
+        return Batch(photo, physics, self.x0[part], self.dwell[part])
 
 
 class BatchSource(Protocol):
@@ -80,16 +98,16 @@ class LiveSource:
 
     def batch(self, step: int, size: int, *, rank: int = 0) -> Batch:
         """Simulate the batch of a step."""
-        seed = seed_of(self._seed, step, rank)
+        seed = seed_of(self._seed, step, rank, _PHOTOS)
         device = self._bank.psfs.device
-        draw = torch.Generator().manual_seed(seed)
+        draw = torch.Generator().manual_seed(seed_of(self._seed, step, rank, _MOTIONS))
         index = torch.randint(len(self._bank), (size,), generator=draw).to(device)
         samples = simulate(
             self._bank, self._scenes, index, photography=self._photography, physics=self._physics, seed=seed
         )
-        grey = samples.photos.mean(dim=1, keepdim=True)
+        grey = samples.photos.mean(dim=1, keepdim=True)  # the blur is the same in every colour
         physics = physics_maps(grey, samples.kernels) if self._physics else None
-        photo = samples.photos.clamp(0, 1) ** (1 / 2.2) if self._photo else None
+        photo = (grey.clamp(0, 1) ** (1 / 2.2)).expand(-1, 3, -1, -1) if self._photo else None
         return Batch(photo, physics, samples.x0, samples.dwell)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import math
 import sys
-import time
 from pathlib import Path
 
 from motdiff.training.loop import Losses
@@ -32,8 +31,7 @@ class RunLog:
 
     def __init__(self, folder: Path, *, steps: int, speaks: bool = True) -> None:
         self._folder, self._steps, self._speaks = folder, steps, speaks
-        self._began = time.monotonic()
-        self._done = 0
+        self._began: tuple[int, float] | None = None
         self._loss = math.nan
         self._last_mnc = math.nan
         self._live = sys.stderr.isatty()
@@ -58,11 +56,13 @@ class RunLog:
         """
         if not self._speaks:
             return
-        self._done += 1
+        if self._began is None:
+            self._began = (step, seconds)
         self._loss = losses.total if math.isnan(self._loss) else _SMOOTH * self._loss + (1 - _SMOOTH) * losses.total
         if step % _EVERY_STEPS:
             return
-        rate = self._done * batch / (time.monotonic() - self._began)
+        steps, spent = step - self._began[0], seconds - self._began[1]
+        rate = steps * batch / spent if spent > 0 else math.nan
         self._row([step, step * batch, self._loss, losses.path, losses.dwell, losses.gradient, rate, math.nan])
         left_min = (self._steps - step) * batch / rate / 60
         text = f"step {step}/{self._steps}  loss {self._loss:.4f}  MNC {self._last_mnc:.3f}  {rate:.1f} samples/s"
@@ -83,14 +83,14 @@ class RunLog:
         if self._speaks and self._live:
             print(file=sys.stderr)  # noqa: T201
 
-    def _row(self, values: list[float]) -> None:
+    def _row(self, values: list[int | float]) -> None:
         path = self._folder / "log.csv"
         new = not path.exists()
         with path.open("a", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             if new:
                 writer.writerow(_FIELDS)
-            writer.writerow(["" if isinstance(v, float) and math.isnan(v) else f"{v:.6g}" for v in values])
+            writer.writerow([v if isinstance(v, int) else "" if math.isnan(v) else f"{v:.6g}" for v in values])
 
     def _plot(self) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -100,12 +100,10 @@ class RunLog:
         figure = Figure(figsize=(8, 4), layout="constrained")
         FigureCanvasAgg(figure)
         left = figure.add_subplot()
-        losses = [(r["step"], r["loss"]) for r in rows if not math.isnan(r["loss"])]
-        left.plot([step for step, _ in losses], [loss for _, loss in losses])
+        left.plot(*_curve(rows, "loss"))
         left.set(xlabel="step", ylabel="loss (smoothed)")
         right = left.twinx()
-        scores = [(r["step"], r["validation_mnc"]) for r in rows if not math.isnan(r["validation_mnc"])]
-        right.plot([step for step, _ in scores], [score for _, score in scores], "o-", color="C1", markersize=3)
+        right.plot(*_curve(rows, "validation_mnc"), "o-", color="C1", markersize=3)
         right.set_ylabel("validation MNC", color="C1")
         figure.savefig(self._folder / "progress.png", dpi=120)
 
@@ -117,6 +115,12 @@ def read_log(path: Path | str) -> list[dict[str, float]]:
     """
     with Path(path).open(newline="", encoding="utf-8") as file:
         return [{name: float(row[name]) if row[name] else math.nan for name in _FIELDS} for row in csv.DictReader(file)]
+
+
+def _curve(rows: list[dict[str, float]], name: str) -> tuple[list[float], list[float]]:
+    """Give the steps and values of a column, one of each step: the later row counts."""
+    points = sorted({row["step"]: row[name] for row in rows if not math.isnan(row[name])}.items())
+    return [step for step, _ in points], [value for _, value in points]
 
 
 def _cleared(live: bool) -> str:

@@ -24,6 +24,7 @@ __all__ = ["Losses", "Trainer", "learning_rate", "loss_of"]
 
 _BETAS = (0.9, 0.999)
 _FIELD_PX = 64
+_NOISE, _DROPOUT = 3, 4  # seeds of their own, and not the batch's: else a motion would meet the same noise every time
 
 
 @dataclass(frozen=True)
@@ -98,15 +99,15 @@ class Trainer:
         """
         began = time.monotonic()
         optimiser = self.config.optimiser
-        seed = seed_of(optimiser.seed, self.step, self._rank)
-        batch = source.batch(self.step, max(1, optimiser.batch // self._world), rank=self._rank)
+        batch = source.batch(self.step, max(1, optimiser.batch // self._world), rank=self._rank).to(self.device)
         for group in self._adam.param_groups:
             group["lr"] = learning_rate(self.step, optimiser)
         self.network.train()
         forked = [self.device] if self.device.type == "cuda" else []
         with torch.random.fork_rng(devices=forked):
-            torch.manual_seed(seed)  # the network's dropout
-            generator = torch.Generator(self.device).manual_seed(seed)
+            torch.manual_seed(seed_of(optimiser.seed, self.step, self._rank, _DROPOUT))
+            generator = torch.Generator(self.device)
+            generator.manual_seed(seed_of(optimiser.seed, self.step, self._rank, _NOISE))
             with self._precision():
                 path, dwell = loss_of(
                     self._model,
@@ -167,8 +168,8 @@ class Trainer:
             if name in first:
                 self._adam.state[parameter] = {
                     "step": torch.tensor(float(checkpoint.step)),
-                    "exp_avg": first[name].clone(memory_format=torch.preserve_format),
-                    "exp_avg_sq": second[name].clone(memory_format=torch.preserve_format),
+                    "exp_avg": torch.empty_like(parameter).copy_(first[name]),  # laid out as the parameter is
+                    "exp_avg_sq": torch.empty_like(parameter).copy_(second[name]),
                 }
         self.step, self.seconds = checkpoint.step, checkpoint.seconds
         return True
@@ -242,7 +243,7 @@ def loss_of(
     x0, dwell_map = batch.x0[part], batch.dwell[part]
     logits = model(q_sample(schedule, signal[part], t, noise[part]), t, batch.photo, physics, (row, column))
     if loss.kind == "structure":
-        path = structure_loss(logits[:, :1], x0, path_weight=loss.path_weight)
+        path = structure_loss(logits[:, :1], x0, path_weight=loss.path_weight, iou=loss.iou)
     else:
         path = denoising_loss(logits[:, :1], x0)
     dwell = dwell_loss(logits[:, 1:], dwell_map, x0) if logits.shape[1] > 1 else torch.zeros_like(path)

@@ -14,6 +14,7 @@ from types import FrameType
 import numpy as np
 import torch
 
+from motdiff.conditions import QUICK_STARTS
 from motdiff.metrics import mnc
 from motdiff.sampling import psfs_of_maps, sample_paths
 from motdiff.training.config import TrainingConfig
@@ -58,6 +59,13 @@ class Pace:
     save_s: float = 60.0
     validate_steps: int = 1000
 
+    def __post_init__(self) -> None:
+        for name in ("minutes", "save_s"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name}: must be at least 0, got {getattr(self, name)}")
+        if self.validate_steps < 1:
+            raise ValueError(f"validate_steps: must be at least 1, got {self.validate_steps}")
+
 
 def make_sources(config: TrainingConfig, *, device: torch.device | str = "cpu", workers: int = 1) -> Sources:
     """Read or simulate what the run needs.
@@ -69,13 +77,22 @@ def make_sources(config: TrainingConfig, *, device: torch.device | str = "cpu", 
         Where photos are simulated.
     workers : int
         Processes that draw the bank of motions.
+
+    Raises
+    ------
+    ValueError
+        If the network takes another number of physics maps than there are, or there are too few photos.
     """
     data, seed = config.data, config.optimiser.seed
-    chunks = [min(_VALIDATION_BATCH, data.validation - first) for first in range(0, data.validation, _VALIDATION_BATCH)]
     if data.prepared:
+        known = read_shards(data.prepared)
+        _check_channels(config, known.kernels.shape[1])
         kept = PreparedSource(read_shards(data.prepared_validation), seed=_VALIDATION_SEED, symmetries=False)
-        fixed = [kept.batch(i, n) for i, n in enumerate(chunks) if (i + 1) * n <= len(kept)]
-        return Sources(PreparedSource(read_shards(data.prepared), seed=seed), tuple(fixed))
+        fixed = kept.batch(0, min(data.validation, len(kept))).split(_VALIDATION_BATCH)
+        return Sources(PreparedSource(known, seed=seed), tuple(batch.to(device) for batch in fixed))
+    if config.network.physics_channels:
+        _check_channels(config, len(QUICK_STARTS))
+    chunks = [min(_VALIDATION_BATCH, data.validation - first) for first in range(0, data.validation, _VALIDATION_BATCH)]
     scenes = load_photos(data.photos, least_px=PHOTO_PX + config.photography.margin, device=str(device))
     seen, unseen = split_photos(scenes, data.held_out)
     wanted = {"photo": config.network.backbone != "none", "physics": config.network.physics_channels > 0}
@@ -107,6 +124,13 @@ def train(
     pace : Pace, optional
     workers : int
         Processes that draw motions.
+
+    Raises
+    ------
+    ValueError
+        If the photos or samples are not there or do not fit the network, or ``folder`` holds a run of another network.
+    FloatingPointError
+        If the loss is no longer finite.
     """
     pace = pace or Pace()
     place = Path(folder)
@@ -126,14 +150,13 @@ def train(
                 losses = trainer.update(sources.training)
                 now = time.monotonic()
                 log.step(trainer.step, losses, batch=config.optimiser.batch, seconds=trainer.seconds)
-                if trainer.leads and trainer.step % pace.validate_steps == 0:
+                if _agreed(asked() or now - began > 60 * pace.minutes, device=trainer.device):
+                    break
+                if trainer.leads and trainer.step % pace.validate_steps == 0 and trainer.step < config.optimiser.steps:
                     log.validated(trainer.step, validation_mnc(trainer, sources.validation))
-                over = asked() or now - began > 60 * pace.minutes
-                if now - saved > pace.save_s or over:
+                if now - saved > pace.save_s:
                     trainer.save(place / "checkpoint")
                     saved = time.monotonic()
-                if over:
-                    break
         trainer.save(place / "checkpoint")
         if trainer.leads:
             log.validated(trainer.step, validation_mnc(trainer, sources.validation))
@@ -162,6 +185,21 @@ def validation_mnc(trainer: Trainer, batches: tuple[Batch, ...], *, steps: int =
             truth = psfs_of_maps(batch.dwell[:, 0]).double().cpu().numpy()
             scores += [mnc(a, b) for a, b in zip(found, truth, strict=True)]
     return float(np.mean(scores))
+
+
+def _check_channels(config: TrainingConfig, kernels: int) -> None:
+    there, wanted = 2 + 2 * kernels, config.network.physics_channels
+    if wanted != there:
+        raise ValueError(f"network.physics_channels: must be {there}, as many as there are physics maps, got {wanted}")
+
+
+def _agreed(over: bool, *, device: torch.device) -> bool:
+    """Whether any process wants to end: all must do so after the same step, or the others wait for it for ever."""
+    if not torch.distributed.is_initialized():
+        return over
+    wish = torch.tensor(float(over), device=device)
+    torch.distributed.all_reduce(wish, torch.distributed.ReduceOp.MAX)
+    return bool(wish)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from motdiff.training.motion_bank import MotionBank
 from motdiff.training.photos import crops
 from motdiff.training.simulation import Photography, photographed
 
-__all__ = ["PHOTO_PX", "Samples", "mirrored", "registration", "shifted", "simulate"]
+__all__ = ["PHOTO_PX", "Samples", "registration", "shifted", "simulate"]
 
 PHOTO_PX = 256
 _KERNEL_BATCH = 8  # on a CPU larger ones fall out of the cache
@@ -134,24 +134,3 @@ def shifted(maps: Tensor, move: Tensor) -> Tensor:
     columns = column.clamp(0, width - 1)[:, None, None, :].expand(batch, channels, height, width)
     moved: Tensor = maps.gather(2, rows).gather(3, columns) * inside
     return moved
-
-
-def mirrored(maps: Tensor, symmetry: int, *, pitch: int) -> Tensor:
-    """Turn or mirror maps (B, C, H, W) about the zero displacement, one of the 8 symmetries of the square.
-
-    The zero lies at index ``H // 2`` of a PSF's grid and at ``129.5`` of the HR map, half a PSF pixel off the array's
-    middle: a flipped axis must be moved by one PSF pixel.
-
-    Parameters
-    ----------
-    maps : (B, C, H, W)
-    symmetry : int, 0..7
-        1: rows flipped; 2: columns flipped; 4: transposed; added up.
-    pitch : int
-        Map pixels per PSF pixel: 1 for PSFs and physics maps, 4 for HR maps; 0 for photos, which have no centre.
-    """
-    if symmetry & 1:
-        maps = maps.flip(2).roll(pitch, 2)
-    if symmetry & 2:
-        maps = maps.flip(3).roll(pitch, 3)
-    return maps.transpose(2, 3) if symmetry & 4 else maps

@@ -1,0 +1,210 @@
+"""Blind estimation in a photo of any size: crops, a search for kernels, one choice, half size where that is better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from motdiff.crops import blur_differs_warning, luminance, pick_crops
+from motdiff.estimators.base import MotionEstimate
+from motdiff.metrics import mnc_subpixel
+from motdiff.tracing import trace_psf_to_trajectory
+from motdiff.trajectory import Trajectory
+
+__all__ = ["Found", "KernelSearch", "estimate_blind"]
+
+FloatArray = NDArray[np.float64]
+
+_CROP_PX = 256
+_SMALLEST_PX = 48
+_FRAME_PX = 64
+_LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halved and tried again
+_LEVELS = 3
+_FAINT = 0.05
+_SPECK_SHARE = 0.1
+_SAME_MNC = 0.8
+_MOST_MOTIONS = 3
+_LOST = 0.5
+_CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found in the crops of one photo.
+
+    Attributes
+    ----------
+    kernels : tuple of (k, k) float, odd k, sum 1
+        Candidates.
+    probabilities : (K,) float
+        Of each to be good: sub-pixel MNC of 0.7 or more.
+    best : int
+        The chosen one.
+    details : dict
+        Figures for the report.
+    warnings : tuple of str
+        What the user should know, one sentence each.
+    """
+
+    kernels: tuple[FloatArray, ...]
+    probabilities: FloatArray
+    best: int
+    details: dict[str, object] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def confidence(self) -> float:
+        """Probability that the chosen kernel is good."""
+        return float(self.probabilities[self.best])
+
+
+class KernelSearch(Protocol):
+    """A blind method, at one scale."""
+
+    largest_px: int
+    """Side of the largest frame that it searches, px."""
+
+    def search(self, crops: FloatArray) -> Found:
+        """Search the kernel that the crops (C, H, W), grey, linear light, share."""
+        ...
+
+    def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:
+        """Search each crop alone, in the cheapest way: the kernels tell whether the blur is the same everywhere."""
+        ...
+
+
+def estimate_blind(photo: ArrayLike, search: KernelSearch, *, method: str, most_crops: int) -> MotionEstimate:
+    """Estimate the motion from a blurred ``photo``.
+
+    Where the blur outgrows the search, or is lost in a large photo, the photo is halved and tried again.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    search : KernelSearch
+    method : str
+        Its name.
+    most_crops : int
+        Most crops used of a photo larger than one crop.
+
+    Returns
+    -------
+    MotionEstimate with ``direction`` unknown; distinct kernels follow as alternatives.
+
+    Raises
+    ------
+    ValueError
+        If the photo is smaller than 48 px, not finite, or constant.
+
+    References
+    ----------
+    Hu and Yang, "Good regions to deblur", ECCV 2012 (crops).
+    """
+    grey = luminance(photo)
+    if min(grey.shape) < _SMALLEST_PX:
+        raise ValueError(
+            f"photo: needs at least {_SMALLEST_PX} x {_SMALLEST_PX} px, got {grey.shape[1]} x {grey.shape[0]}"
+        )
+    if np.ptp(grey) == 0:
+        raise ValueError("photo: is constant; motion shows only where the scene has texture")
+    level = _level(grey, 1, search, most_crops)
+    while level.factor < 2 ** (_LEVELS - 1) and _wants_halving(level, search.largest_px, min(grey.shape)):
+        factor = level.factor * 2
+        smaller = cv2.resize(grey, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+        coarser = _level(np.asarray(smaller, dtype=np.float64), factor, search, most_crops)
+        if coarser.found.confidence < max(_LOST, level.found.confidence + _CLEARLY):
+            break
+        level = coarser
+    uneven = None
+    if len(level.crops) > 1:
+        uneven = blur_differs_warning(search.single(level.crops, level.found))
+    return _described(level, method, uneven)
+
+
+@dataclass(frozen=True)
+class _Level:
+    """What one scale of the photo gave."""
+
+    factor: int
+    crops: FloatArray
+    found: Found
+
+
+def _level(grey: FloatArray, factor: int, search: KernelSearch, most_crops: int) -> _Level:
+    size = min(_CROP_PX, *grey.shape)
+    whole = max(grey.shape) <= 1.25 * _CROP_PX
+    corners = [(0, 0)] if whole else pick_crops(grey, size=size, count=most_crops)
+    crops = np.stack([grey if whole else grey[r : r + size, c : c + size] for r, c in corners])
+    return _Level(factor, crops, search.search(crops))
+
+
+def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:
+    """Tell whether the blur outgrew the search, or is lost in a photo with pixels to spare."""
+    side_px = full_side_px // level.factor
+    y, x = np.nonzero(level.found.kernels[level.found.best])
+    outgrown = max(np.ptp(y), np.ptp(x)) + 1 > _LARGEST_EXTENT * largest_px
+    lost = level.found.confidence < _LOST and side_px >= 2 * _CROP_PX
+    return bool((outgrown and side_px >= 4 * _SMALLEST_PX) or lost)
+
+
+def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate:
+    found, kernels = level.found, level.found.kernels
+    chosen = [found.best]
+    for i in np.argsort(-found.probabilities):
+        if len(chosen) < _MOST_MOTIONS and all(mnc_subpixel(kernels[i], kernels[j]) < _SAME_MNC for j in chosen):
+            chosen.append(int(i))
+    trajectories = [trace_psf_to_trajectory(_without_faint_parts(kernels[i])) for i in chosen]
+    if level.factor > 1:
+        trajectories = [trajectory.scaled(level.factor) for trajectory in trajectories]
+    weights = found.probabilities[chosen] / found.probabilities[chosen].sum()
+    psf = _framed(kernels[found.best]) if level.factor == 1 else _psf_of(trajectories[0])
+    warnings = [*found.warnings, *([] if uneven is None else [uneven])]
+    if found.confidence < _LOST:
+        warnings.append(
+            f"the blind estimate is probably lost (confidence {found.confidence:.2f}): "
+            "take a photo with more texture, or use the methods reference or point"
+        )
+    if level.factor > 1:
+        warnings.append(f"the motion was estimated on the photo at 1/{level.factor} of its size, where it shows better")
+    return MotionEstimate(
+        method=method,
+        trajectories=tuple(trajectories),
+        weights=tuple(float(w) for w in weights),
+        psf=psf,
+        confidence=found.confidence,
+        warnings=tuple(warnings),
+        details={
+            "crops": len(level.crops),
+            "scale": 1 / level.factor,
+            **found.details,
+            "trajectory_psf_mnc": mnc_subpixel(psf, _psf_of(trajectories[0])),
+        },
+    )
+
+
+def _without_faint_parts(kernel: FloatArray) -> FloatArray:
+    """Kernel without what is below 5 % of its peak: noise there draws side branches that lengthen the path."""
+    kept = np.where(kernel < _FAINT * kernel.max(), 0.0, kernel)
+    label, count = ndimage.label(kept, structure=np.ones((3, 3)))
+    light = ndimage.sum_labels(kept, label, np.arange(count + 1))
+    light[0] = 0
+    kept = np.where(light[label] >= min(light.max(), _SPECK_SHARE * kept.sum()), kept, 0.0)
+    return np.asarray(kept / kept.sum(), dtype=np.float64)
+
+
+def _psf_of(trajectory: Trajectory) -> FloatArray:
+    return trajectory.psf(max(_FRAME_PX, trajectory.frame_size()))
+
+
+def _framed(kernel: FloatArray) -> FloatArray:
+    """Put an odd kernel into the 64-px frame, zero displacement at index 32."""
+    side = max(_FRAME_PX, kernel.shape[0] + 1)
+    low = side // 2 - kernel.shape[0] // 2
+    psf = np.zeros((side, side))
+    psf[low : low + kernel.shape[0], low : low + kernel.shape[1]] = kernel
+    return np.asarray(psf / psf.sum(), dtype=np.float64)

@@ -1,0 +1,113 @@
+"""From crops of a photo to PSFs drawn by the network: each draw sees the photo turned or mirrored another way."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from motdiff.conditions import QUICK_STARTS, physics_maps, quick_kernels
+from motdiff.diffusion import cosine_schedule
+from motdiff.grids import inverse_symmetry, mirrored
+from motdiff.network import MotDiffNetwork
+from motdiff.sampling import psfs_of_maps, sample_paths
+
+__all__ = ["Drawn", "draw_psfs", "searched_quickly"]
+
+FloatArray = NDArray[np.float64]
+
+_PHOTO_PX = 256
+_DISPLAY_GAMMA = 2.2  # as in training
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What the network drew for one photo.
+
+    Attributes
+    ----------
+    psfs : (K, 64, 64) float64
+        One per sample, sum 1.
+    quick : (Q, 64, 64) float64
+        The quick classical kernels it was told of; Q = 0 for a network without physics maps.
+    """
+
+    psfs: FloatArray
+    quick: FloatArray
+
+
+def draw_psfs(
+    network: MotDiffNetwork, crops: FloatArray, *, sigma: float, count: int, steps: int, generator: torch.Generator
+) -> Drawn:
+    """Draw ``count`` PSFs of the blur that the crops share.
+
+    Parameters
+    ----------
+    network : MotDiffNetwork
+        In eval mode, on the CPU.
+    crops : (C, H, W) float, grey, linear light
+    sigma : float
+        Standard deviation of their noise.
+    count : int
+        Number of draws, spread over the eight symmetries of the square: a network's errors differ between them.
+    steps : int
+        Steps of each draw.
+    generator : torch.Generator
+    """
+    light = torch.from_numpy(crops.astype(np.float32))[None]
+    quick = light.new_zeros(1, 0, 64, 64)
+    physics: Tensor | None = None
+    with torch.no_grad():
+        if network.physics is not None:
+            quick = searched_quickly(light, sigma=sigma)
+            physics = physics_maps(light, quick)
+        photo = None if network.photo is None else _photo(light)
+        conditions = [
+            network.condition(
+                None if photo is None else mirrored(photo, s, pitch=0),
+                None if physics is None else mirrored(physics, s, pitch=1),
+            )
+            for s in range(min(8, count))
+        ]
+        turns = [i % 8 for i in range(count)]
+        condition = torch.cat([conditions[s] for s in turns])
+        drawn = sample_paths(network, condition, count=1, schedule=cosine_schedule(), steps=steps, generator=generator)
+        turned = psfs_of_maps(drawn.path * drawn.dwell)  # (K, 1, 64, 64)
+        psfs = [mirrored(turned[i : i + 1], inverse_symmetry(s), pitch=1)[0, 0] for i, s in enumerate(turns)]
+    return Drawn(torch.stack(psfs).double().numpy(), quick[0].double().numpy())
+
+
+def searched_quickly(crops: Tensor, *, sigma: float) -> Tensor:
+    """Run the quick searches of (1, C, H, W) side by side, one thread each, to kernels (1, Q, 64, 64)."""
+    threads = torch.get_num_threads()
+    try:
+        with ThreadPoolExecutor(os.cpu_count() or 1, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+            runs = [pool.submit(_one_start, crops, sigma, start) for start in range(len(QUICK_STARTS))]
+            found = [run.result() for run in runs]
+    finally:
+        torch.set_num_threads(threads)
+    return torch.cat(found, dim=1)
+
+
+def _one_start(crops: Tensor, sigma: float, number: int) -> Tensor:
+    with torch.no_grad():  # a thread has its own gradient mode
+        return quick_kernels(crops, sigma=sigma, starts=QUICK_STARTS[number : number + 1])
+
+
+def _photo(crops: Tensor) -> Tensor:
+    """Display values (1, 3, 256, 256) of the best crop: its middle, or mirrored outwards where it is smaller."""
+    best = crops[:, :1]
+    missing = [max(0, _PHOTO_PX - n) for n in best.shape[-2:]]
+    while any(missing):
+        pads = [min(m, n - 1) for m, n in zip(missing, best.shape[-2:], strict=True)]
+        best = functional.pad(best, (0, pads[1], 0, pads[0]), mode="reflect")
+        missing = [max(0, _PHOTO_PX - n) for n in best.shape[-2:]]
+    top, left = ((n - _PHOTO_PX) // 2 for n in best.shape[-2:])
+    middle = best[..., top : top + _PHOTO_PX, left : left + _PHOTO_PX]
+    return (middle.clamp(0, 1) ** (1 / _DISPLAY_GAMMA)).expand(-1, 3, -1, -1)

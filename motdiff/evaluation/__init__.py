@@ -1,0 +1,1 @@
+"""Measuring estimators on data sets: simulated shakes and Levin's photos, floors and ceilings, tables and pictures."""

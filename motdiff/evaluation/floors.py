@@ -1,0 +1,103 @@
+"""What needs no estimator: trivial kernels below every table, and the truth, or its path alone, above it.
+
+MNC subtracts no mean, so a blob that knows nothing scores 0.4 to 0.6. A figure means something only beside these.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from motdiff.evaluation.sets import PSF_PX, Case
+from motdiff.gyro import read_gyro
+from motdiff.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from motdiff.training.motion_bank import MotionMix
+
+__all__ = ["ceilings", "delta", "floors", "gaussian", "mean_kernel", "path_kernel"]
+
+FloatArray = NDArray[np.float64]
+
+_STREAM = 0x6D65616E  # other motions than those of the cases
+_OTHERS = 200
+_ROUNDS = 3
+_SIGMA_PX = 4.0
+
+
+def delta(size: int = PSF_PX) -> FloatArray:
+    """No motion at all, (size, size)."""
+    psf = np.zeros((size, size))
+    psf[size // 2, size // 2] = 1.0
+    return psf
+
+
+def gaussian(sigma_px: float = _SIGMA_PX, size: int = PSF_PX) -> FloatArray:
+    """Draw a round blob (size, size), sum 1, centred at index ``size // 2``."""
+    along = np.exp(-0.5 * ((np.arange(size) - size // 2) / sigma_px) ** 2)
+    psf = along[:, None] * along[None, :]
+    return np.asarray(psf / psf.sum(), dtype=np.float64)
+
+
+def mean_kernel(mix: MotionMix, *, seed: int, count: int = _OTHERS) -> FloatArray:
+    """Mean PSF (64, 64) of ``count`` other motions of the mix, sum 1, its centroid at index 32 to whole pixels.
+
+    MNC is blind to shifts, so each motion is laid where it is most like the others (three rounds of registration to the
+    mean). With the centroids on each other instead, shakes that dwell in one place average to a blur: over 60 gyro
+    motions 0.40 instead of 0.53, a floor that is too easy to beat.
+
+    Parameters
+    ----------
+    mix : MotionMix
+    seed, count : int
+    """
+    from motdiff.training.motion_bank import draw_motion
+
+    trace = read_gyro(mix.gyro_trace) if mix.gyro > 0 else None
+    rngs = (np.random.default_rng([_STREAM, seed, i]) for i in range(count))
+    room = PSF_PX // 2
+    psfs = np.pad([draw_motion(mix, rng, trace).psf(PSF_PX) for rng in rngs], [(0, 0), (room, room), (room, room)])
+    spectra = fft.rfft2(psfs)
+    mean = psfs.mean(axis=0)
+    for _ in range(_ROUNDS):
+        lags = fft.irfft2(fft.rfft2(mean) * spectra.conj(), s=mean.shape)
+        peaks = lags.reshape(count, -1).argmax(axis=1)
+        moves = zip(*np.unravel_index(peaks, mean.shape), strict=True)
+        mean = np.mean([np.roll(psf, move, axis=(0, 1)) for psf, move in zip(psfs, moves, strict=True)], axis=0)
+    at = np.arange(2 * PSF_PX) - PSF_PX
+    offsets = [-round(float(at @ mean.sum(axis=1 - axis))) for axis in (0, 1)]
+    framed = np.roll(mean, offsets, axis=(0, 1))[room:-room, room:-room]
+    return np.asarray(framed / framed.sum(), dtype=np.float64)
+
+
+def path_kernel(trajectory: Trajectory) -> FloatArray:
+    """PSF (64, 64), sum 1, of the path as a binary map: what a perfect estimate without dwell can reach.
+
+    Raises
+    ------
+    ValueError
+        If the path leaves the 64-px field.
+    """
+    boxes = trajectory.hr_map().reshape(PSF_PX, 4, PSF_PX, 4).mean(axis=(1, 3))
+    return np.asarray(boxes / boxes.sum(), dtype=np.float64)
+
+
+def floors(mean: FloatArray | None = None) -> dict[str, FloatArray]:
+    """Kernels that know nothing of the photo, by name: "delta", "gaussian" and, where it is given, "mean-kernel".
+
+    Parameters
+    ----------
+    mean : (S, S) float, optional
+        :func:`mean_kernel` of the set, where its motions are drawn from a mix.
+    """
+    known = {"delta": delta(), "gaussian": gaussian()}
+    return known if mean is None else {**known, "mean-kernel": mean}
+
+
+def ceilings(case: Case) -> dict[str, FloatArray]:
+    """Kernels that know everything, by name: "true-path", where the trajectory is known, and "true-kernel"."""
+    path = {} if case.trajectory is None else {"true-path": path_kernel(case.trajectory)}
+    return {**path, "true-kernel": case.psf}

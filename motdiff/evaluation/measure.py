@@ -1,0 +1,203 @@
+"""One row of figures per photo and method: kernel, path, restored photo, confidence, time."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motdiff.crops import luminance
+from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.evaluation.sets import PSF_PX, Case
+from motdiff.metrics import (
+    mnc,
+    mnc_subpixel,
+    path_distance_px,
+    psnr_up_to_shift,
+    register_shift,
+    ssim_up_to_shift,
+)
+
+__all__ = ["FIGURES", "Measured", "Row", "measure_estimator", "measure_psf", "restored"]
+
+FloatArray = NDArray[np.float64]
+
+FIGURES = ("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim", "confidence", "cpu_s")
+"""Names of a row's figures, in the order of every table."""
+
+_LEAST_WEIGHT, _MOST_WEIGHT = 2e-4, 2e-3
+_WEIGHT_PER_VARIANCE = 2.5
+_KAPPA = 2.0
+_NAN = math.nan
+
+
+@dataclass(frozen=True)
+class Row:
+    """Figures of one method on one photo; NaN where there is nothing to measure.
+
+    Attributes
+    ----------
+    set, case, method : str
+    mnc, mnc_subpixel : float
+        Of the PSF with the true one, over whole pixels and over 0.05 px.
+    path_mnc : float
+        Sub-pixel MNC of the PSF that the trajectory draws by itself.
+    path_px : float, px
+        :func:`motdiff.metrics.path_distance_px` to the true trajectory.
+    psnr_db, ssim : float
+        Of the photo's luminance restored with the PSF, up to shift.
+    confidence : float
+        As the estimator says, 0..1.
+    cpu_s : float, seconds
+        Processor time of the estimate, all threads.
+    failure : str
+        Why the estimator gave none; "" when it did.
+    """
+
+    set: str
+    case: str
+    method: str
+    mnc: float = _NAN
+    mnc_subpixel: float = _NAN
+    path_mnc: float = _NAN
+    path_px: float = _NAN
+    psnr_db: float = _NAN
+    ssim: float = _NAN
+    confidence: float = _NAN
+    cpu_s: float = _NAN
+    failure: str = ""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A row and the kernel behind it.
+
+    Attributes
+    ----------
+    row : Row
+    psf : (S, S) float, optional
+        None when the estimator failed.
+    """
+
+    row: Row
+    psf: FloatArray | None
+
+
+def measure_psf(set_name: str, case: Case, method: str, psf: FloatArray, *, restore: bool = True) -> Measured:
+    """Measure a kernel that no estimator found: a floor or a ceiling.
+
+    Parameters
+    ----------
+    set_name : str
+    case : Case
+    method : str
+    psf : (S, S) float
+    restore : bool
+        Whether the photo is restored, where there is a sharp one.
+    """
+    psnr_db, ssim = _restoration(case, psf) if restore else (_NAN, _NAN)
+    row = Row(
+        set_name,
+        case.name,
+        method,
+        mnc=mnc(psf, case.psf),
+        mnc_subpixel=mnc_subpixel(psf, case.psf),
+        psnr_db=psnr_db,
+        ssim=ssim,
+    )
+    return Measured(row, psf)
+
+
+def measure_estimator(
+    set_name: str, case: Case, method: str, estimator: Estimator, *, restore: bool = True
+) -> Measured:
+    """Run an estimator on the photo and measure what it says; a ``ValueError`` makes a row with ``failure``.
+
+    Parameters
+    ----------
+    set_name : str
+    case : Case
+    method : str
+    estimator : Estimator
+    restore : bool
+        Whether the photo is restored, where there is a sharp one.
+    """
+    began_s, cpu_s = time.process_time(), _NAN
+    try:
+        estimate = estimator.estimate(case.photo)
+        cpu_s = time.process_time() - began_s
+        kernel = measure_psf(set_name, case, method, estimate.psf, restore=restore)
+        path_mnc, path_px = _path_figures(case, estimate)
+    except ValueError as error:
+        reason = str(error).split("\n")[0] or "ValueError"
+        return Measured(Row(set_name, case.name, method, cpu_s=cpu_s, failure=reason), None)
+    found = replace(kernel.row, path_mnc=path_mnc, path_px=path_px, confidence=estimate.confidence, cpu_s=cpu_s)
+    return Measured(found, estimate.psf)
+
+
+def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:
+    """Restore a photo with a known kernel: L0 gradients on a periodic extension, weighted by the photo's noise.
+
+    Parameters
+    ----------
+    photo : (H, W) float, linear light 0..1
+    psf : (S, S) float, sum 1, zero displacement at index ``S // 2``
+
+    Returns
+    -------
+    (H, W) float, 0..1
+
+    References
+    ----------
+    Xu, Zheng, Jia, "Unnatural L0 sparse representation for natural image deblurring", CVPR 2013.
+    """
+    import torch
+
+    from motdiff.estimators.pmp.grids import fast_size, periodic_extension
+    from motdiff.estimators.pmp.latent import l0_pmp_latent
+    from motdiff.estimators.pmp.score import noise_sigma
+
+    height, width = photo.shape
+    # 2.5 sigma^2 is near the best of 1e-4..1e-2 at sigma 0.01 and 0.03; without noise PMP's 2e-4 for Levin's photos
+    weight = min(max(_WEIGHT_PER_VARIANCE * noise_sigma(photo) ** 2, _LEAST_WEIGHT), _MOST_WEIGHT)
+    with torch.no_grad():
+        blurred = torch.from_numpy(np.ascontiguousarray(photo, dtype=np.float32))[None]
+        kernel = torch.from_numpy(np.ascontiguousarray(psf, dtype=np.float32))[None]
+        rows, columns = (fast_size(n + s - 1) for n, s in zip(photo.shape, psf.shape, strict=True))
+        wide = periodic_extension(blurred, (rows, columns))
+        latent = l0_pmp_latent(
+            wide,
+            kernel,
+            intensity_weight=0.0,
+            gradient_weight=weight,
+            patch_px=1,
+            coarse=False,
+            kappa=_KAPPA,
+            inner=1,
+        )
+    return np.asarray(latent[0, :height, :width].double().clamp(0, 1).numpy(), dtype=np.float64)
+
+
+def _path_figures(case: Case, estimate: MotionEstimate) -> tuple[float, float]:
+    path = estimate.trajectories[0]
+    own = path.psf(max(PSF_PX, path.frame_size()))
+    distance_px = _NAN if case.trajectory is None else path_distance_px(path, case.trajectory)
+    return mnc_subpixel(own, case.psf), distance_px
+
+
+def _restoration(case: Case, psf: FloatArray) -> tuple[float, float]:
+    if case.sharp is None:
+        return _NAN, _NAN
+    sharp = luminance(case.sharp)
+    image = restored(luminance(case.photo), _laid_on(case.psf, psf))
+    return psnr_up_to_shift(image, sharp), ssim_up_to_shift(image, sharp)
+
+
+def _laid_on(truth: FloatArray, psf: FloatArray) -> FloatArray:
+    """Move ``psf`` by whole pixels onto the truth: a blind kernel lies anywhere, and so would the photo restored."""
+    dx, dy = (round(d) for d in register_shift(truth, psf))
+    room = max(abs(dx), abs(dy))
+    return np.roll(np.pad(psf, room), (dy, dx), axis=(0, 1))
