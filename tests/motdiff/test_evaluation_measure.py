@@ -1,0 +1,127 @@
+"""Figures of one photo: known values for the truth, shifts forgiven, failures kept."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from motdiff.estimators.base import MotionEstimate
+from motdiff.evaluation.floors import delta, gaussian
+from motdiff.evaluation.measure import measure_estimator, measure_psf, restored
+from motdiff.evaluation.sets import Case, simulated
+from motdiff.metrics import psnr_up_to_shift
+from motdiff.training.motion_bank import MotionMix
+from motdiff.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Says:
+    """An estimator that always gives the same answer."""
+
+    answer: MotionEstimate | Exception
+
+    def estimate(self, photo):
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+
+def scene(seed, shape=(170, 170)):
+    noise = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(shape), 4)
+    return np.digitize(noise / noise.std(), [-1, -0.3, 0.3, 1]) / 5 + 0.1
+
+
+@pytest.fixture(scope="module")
+def case():
+    mix = MotionMix(max_length_px=30.0)
+    (only,) = simulated([scene(1)], count=1, seed=4, mix=mix, sigma=0.002, borders="real", size=100)
+    return only
+
+
+def answer(trajectory, psf, confidence=0.8):
+    return MotionEstimate("fake", (trajectory,), (1.0,), psf, confidence)
+
+
+def test_the_truth_is_perfect(case):
+    told = Says(answer(case.trajectory, case.psf))
+    row = measure_estimator("set", case, "fake", told, restore=False).row
+    assert (row.set, row.case, row.method, row.failure) == ("set", "0000", "fake", "")
+    assert (row.mnc, row.mnc_subpixel, row.path_mnc) == pytest.approx((1, 1, 1))
+    assert row.path_px == pytest.approx(0, abs=1e-9)
+    assert row.confidence == 0.8
+    assert row.cpu_s >= 0
+    assert math.isnan(row.psnr_db)
+    assert math.isnan(row.ssim)
+
+
+def test_direction_cannot_be_known_from_one_photo(case):
+    told = Says(answer(case.trajectory.reversed(), case.psf))
+    assert measure_estimator("s", case, "f", told, restore=False).row.path_px == pytest.approx(0, abs=1e-9)
+
+
+def test_the_path_is_judged_by_its_own_psf_even_a_long_one(case):
+    told = Says(answer(Trajectory.straight(90.0), case.psf))
+    row = measure_estimator("s", case, "f", told, restore=False).row
+    assert row.mnc_subpixel == pytest.approx(1)
+    assert row.path_mnc < 0.6
+    assert row.path_px > 10
+
+
+def test_without_a_true_path_or_a_sharp_photo_there_is_nothing_to_compare(case):
+    bare = replace(case, trajectory=None, sharp=None)
+    row = measure_estimator("s", bare, "f", Says(answer(case.trajectory, case.psf))).row
+    assert math.isnan(row.path_px)
+    assert math.isnan(row.psnr_db)
+    assert row.path_mnc == pytest.approx(1)
+
+
+def test_kernels_are_ranked_by_the_photos_they_restore(case):
+    truth, blob, none = (measure_psf("s", case, "f", psf).row for psf in (case.psf, gaussian(5.0), delta()))
+    assert truth.psnr_db > none.psnr_db + 2 > blob.psnr_db
+    assert truth.ssim > none.ssim
+    assert math.isnan(truth.confidence)
+
+
+def test_a_kernel_may_lie_anywhere(case):
+    here = measure_psf("s", case, "f", case.psf).row
+    for move in ((7, -9), (-12, 3)):
+        there = measure_psf("s", case, "f", np.roll(np.pad(case.psf, 3), move, axis=(0, 1))).row
+        assert there.psnr_db == pytest.approx(here.psnr_db, abs=0.2)
+        assert there.mnc == pytest.approx(here.mnc)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ValueError("photo: too dark\nand more"),
+        answer(Trajectory.straight(5.0), np.full((64, 64), np.nan)),
+        answer(Trajectory.straight(5.0), np.zeros((64, 64))),
+    ],
+)
+def test_a_failure_is_a_row(case, wrong):
+    measured = measure_estimator("s", case, "f", Says(wrong), restore=False)
+    assert measured.psf is None
+    assert measured.row.failure
+    assert "\n" not in measured.row.failure
+    assert math.isnan(measured.row.mnc_subpixel)
+    assert math.isnan(measured.row.confidence)
+
+
+def test_other_errors_are_not_swallowed(case):
+    with pytest.raises(RuntimeError):
+        measure_estimator("s", case, "f", Says(RuntimeError("broken")))
+
+
+def test_colour_photos_are_restored_by_their_luminance(case):
+    grey = measure_psf("s", case, "f", case.psf).row
+    coloured = Case("c", np.stack([case.photo] * 3, 2), case.psf, np.stack([case.sharp] * 3, 2))
+    assert measure_psf("s", coloured, "f", case.psf).row.psnr_db == pytest.approx(grey.psnr_db, abs=1e-6)
+
+
+def test_restoration_with_no_blur_keeps_the_photo():
+    photo = scene(2, (90, 100))
+    out = restored(photo, delta(9))
+    assert out.shape == photo.shape
+    assert psnr_up_to_shift(out, photo) > 30

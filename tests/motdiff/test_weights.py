@@ -1,0 +1,223 @@
+"""Weights files: the averaged network to half precision, what a file says of itself, and files that are none."""
+
+import json
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from motdiff import weights as module
+from motdiff.network import NetworkConfig
+from motdiff.sampling import sample_paths
+from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
+from motdiff.training.data import Batch
+from motdiff.training.loop import Trainer
+from motdiff.weights import export_weights, load_network, read_card
+
+TINY = NetworkConfig(
+    backbone="none",
+    physics_channels=2,
+    physics_width=8,
+    physics_depth=1,
+    physics_patch=2,
+    denoiser_width=8,
+    decoder_widths=(8, 4),
+    dwell=True,
+    time_width=16,
+)
+
+
+class Noise:
+    def batch(self, step, size, *, rank=0):
+        draw = torch.Generator().manual_seed(step)
+        x0 = (torch.rand(size, 1, 256, 256, generator=draw) > 0.98).float()
+        return Batch(None, torch.randn(size, 2, 64, 64, generator=draw), x0, x0)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A network after two steps, and its checkpoint."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    optimiser = OptimiserConfig(steps=2, batch=2, window=8, ema=0.5)
+    trainer = Trainer(TrainingConfig(DataConfig(photos="photos"), network=TINY, optimiser=optimiser))
+    for _ in range(2):
+        trainer.update(Noise())
+    folder = tmp_path_factory.mktemp("run") / "checkpoint"
+    trainer.save(folder)
+    torch.set_num_threads(threads)
+    return trainer, folder
+
+
+@pytest.fixture
+def exported(trained, tmp_path):
+    file = tmp_path / "weights.safetensors"
+    export_weights(trained[1], file, card={"mnc": 0.91, "photos": ["a", "b"]})
+    return file
+
+
+def rewritten(file, *, header=(), change=lambda tensors: tensors):
+    tensors = change(load_file(file))
+    with module.safe_open(str(file), framework="pt") as opened:
+        kept = opened.metadata()
+    file.unlink()
+    save_file(tensors, file, {name: text for name, text in (kept | dict(header)).items() if text is not None})
+
+
+def refused(call, file, said):
+    with pytest.raises(ValueError, match=said) as caught:
+        call(file)
+    message = str(caught.value)
+    assert message.startswith(f"{file}: ")
+    assert "\n" not in message
+
+
+# ---- there and back
+
+
+def test_the_averaged_weights_come_back_to_half_precision(trained, exported):
+    trainer, _ = trained
+    network = load_network(exported)
+    expected = trainer.average.state_dict()
+    found = network.state_dict()
+    assert found.keys() == expected.keys()
+    for name, tensor in expected.items():
+        assert found[name].dtype == tensor.dtype
+        torch.testing.assert_close(found[name], tensor, rtol=2**-11, atol=2**-25)
+    differ = [name for name, now in trainer.network.state_dict().items() if not torch.equal(now, expected[name])]
+    assert differ  # the weights themselves are others
+
+
+def test_the_loaded_network_draws_what_the_averaged_one_does(trained, exported):
+    trainer, _ = trained
+    physics = torch.randn(1, 2, 64, 64, generator=torch.Generator().manual_seed(3))
+    drawn = []
+    for network in (trainer.average, load_network(exported)):
+        with torch.no_grad():
+            condition = network.condition(None, physics)
+            generator = torch.Generator().manual_seed(0)
+            drawn.append(
+                sample_paths(network, condition, count=1, schedule=trainer.schedule, steps=3, generator=generator)
+            )
+    torch.testing.assert_close(drawn[0].path, drawn[1].path, atol=2e-2, rtol=0)
+    torch.testing.assert_close(drawn[0].dwell, drawn[1].dwell, atol=2e-2, rtol=2e-2)
+
+
+def test_a_loaded_network_is_ready_to_use(exported):
+    network = load_network(exported)
+    assert network.config == TINY
+    assert not any(module.training for module in network.modules())
+    assert not any(parameter.requires_grad for parameter in network.parameters())
+    assert {parameter.dtype for parameter in network.parameters()} == {torch.float32}
+
+
+def test_a_file_says_what_it_is(trained, exported):
+    trainer, folder = trained
+    found = read_card(exported)
+    assert found["card"] == {"mnc": 0.91, "photos": ["a", "b"]}
+    assert found["config"] == read_checkpoint(folder).config
+    assert found["config"]["optimiser"]["window"] == 8
+    assert found["run"]["steps"] == 2
+    assert found["run"]["seconds"] == pytest.approx(trainer.seconds, abs=0.5)
+
+
+def test_a_card_may_be_left_out(trained, tmp_path):
+    size = export_weights(trained[1], tmp_path / "w.safetensors")
+    assert read_card(tmp_path / "w.safetensors")["card"] == {}
+    assert size == (tmp_path / "w.safetensors").stat().st_size
+
+
+def test_the_file_holds_half_the_bytes_and_nothing_of_adam(trained, exported):
+    stored = load_file(exported)
+    assert stored.keys() == trained[0].average.state_dict().keys()
+    assert {tensor.dtype for tensor in stored.values()} == {torch.float16, torch.int64}
+
+
+def test_the_same_run_gives_the_same_bytes(trained, tmp_path):
+    for name in ("a", "b"):
+        export_weights(trained[1], tmp_path / name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+# ---- what can go wrong
+
+
+def test_a_run_without_checkpoint_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="holds no checkpoint"):
+        export_weights(tmp_path / "checkpoint", tmp_path / "w.safetensors")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_earlier_file_is_replaced_whole_or_not_at_all(trained, tmp_path, monkeypatch):
+    file = tmp_path / "w.safetensors"
+    file.write_bytes(b"earlier")
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "save", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+        with pytest.raises(OSError, match="No space"):
+            export_weights(trained[1], file)
+    assert file.read_bytes() == b"earlier"
+    seen = []
+    with monkeypatch.context() as patch:
+        patch.setattr("pathlib.Path.replace", lambda *paths: seen.append([path.read_bytes() for path in paths]))
+        export_weights(trained[1], file)
+    ((whole, still),) = seen  # written under another name first
+    assert still == b"earlier"
+    export_weights(trained[1], file)
+    assert file.read_bytes() == whole
+
+
+def test_weights_beyond_half_precision_are_refused(tmp_path):
+    checkpoint = Checkpoint(1, {"ema.a": torch.tensor([1.0, 7e4]), "ema.b": torch.ones(2)}, {})
+    write_checkpoint(tmp_path / "checkpoint", checkpoint)
+    with pytest.raises(ValueError, match=r"checkpoint: a holds values that float16 cannot"):
+        export_weights(tmp_path / "checkpoint", tmp_path / "w.safetensors")
+    assert not (tmp_path / "w.safetensors").exists()
+
+
+@pytest.mark.parametrize("call", [load_network, read_card])
+def test_what_are_no_weights_is_refused_in_one_line(tmp_path, call):
+    refused(call, tmp_path / "none.safetensors", "cannot be read as weights")
+    refused(call, tmp_path, "cannot be read as weights")
+    file = tmp_path / "w.safetensors"
+    for data in (b"", b"not weights at all", b"\x10\0\0\0\0\0\0\0{}"):
+        file.write_bytes(data)
+        refused(call, file, "cannot be read as weights")
+    save_file({"weight": torch.zeros(2)}, tmp_path / "foreign.safetensors", {"format": "pt"})
+    refused(call, tmp_path / "foreign.safetensors", r"is no motdiff\.weights/1 file, its schema is None")
+    save_file({"weight": torch.zeros(2)}, tmp_path / "plain.safetensors")
+    refused(call, tmp_path / "plain.safetensors", "its schema is None")
+
+
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        ({"schema": "motdiff.weights/9"}, r"its schema is 'motdiff\.weights/9'"),
+        ({"config": None}, "its header is not whole"),
+        ({"config": "{"}, "its header is not whole"),
+        ({"step": "many"}, "its header is not whole"),
+    ],
+)
+@pytest.mark.parametrize("call", [load_network, read_card])
+def test_half_a_header_is_refused(exported, header, said, call):
+    rewritten(exported, header=header)
+    refused(call, exported, said)
+
+
+@pytest.mark.parametrize("network", [{"layers": 3}, {"backbone": "b9"}, None, 3])
+def test_a_header_of_no_network_we_know_is_refused(exported, network):
+    rewritten(exported, header={"config": json.dumps({"network": network})})
+    refused(load_network, exported, "its header describes no network")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda tensors: {name: tensor for name, tensor in tensors.items() if name != "denoiser.mid.bias"},
+        lambda tensors: tensors | {"extra": torch.zeros(1)},
+        lambda tensors: {name: tensor[None] for name, tensor in tensors.items()},
+    ],
+)
+def test_tensors_of_another_network_are_refused(exported, change):
+    rewritten(exported, change=change)
+    refused(load_network, exported, "its tensors do not fit")

@@ -1,0 +1,340 @@
+"""Whole pieces of a training run: what they leave behind, how they end, and that several processes agree."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from motdiff.conditions import QuickStart, quick_kernels
+from motdiff.network import NetworkConfig
+from motdiff.training import prepared as prepared_module
+from motdiff.training import samples as samples_module
+from motdiff.training.checkpoint import read_checkpoint
+from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
+from motdiff.training.data import LiveSource, PreparedSource
+from motdiff.training.log import read_log
+from motdiff.training.motion_bank import MotionMix
+from motdiff.training.prepared import prepare, read_shards
+from motdiff.training.run import Pace, make_sources, train, validation_mnc
+from motdiff.training.simulation import Photography
+
+ROOT = Path(__file__).resolve().parents[3]
+SHORT = MotionMix(max_length_px=12)
+PLAIN = Photography(most_noise=0.0, gammas=(1.0, 1.0), wrong_gamma=0.0, gains=(1.0, 1.0), jpeg=0.0)
+PHYSICS = NetworkConfig(
+    backbone="none",
+    physics_channels=8,
+    physics_width=8,
+    physics_depth=1,
+    physics_patch=2,
+    denoiser_width=8,
+    decoder_widths=(8, 4),
+    dropout=0.0,
+    dwell=True,
+    time_width=16,
+)
+ONCE = OptimiserConfig(steps=1, batch=2, window=8, seed=3)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def small_search():
+    """Small frames instead of the three of the training, and one thread."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    starts = tuple(QuickStart(size, 1.0) for size in (9, 11, 13))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1))
+        yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory):
+    """Six photos: every third one dark, the others bright."""
+    folder = tmp_path_factory.mktemp("photos")
+    rng = np.random.default_rng(0)
+    for i in range(6):
+        blocks = rng.integers(0, 80, (33, 33, 3)) + (10 if i % 3 == 0 else 170)
+        cv2.imwrite(str(folder / f"{i}.png"), blocks.astype(np.uint8).repeat(10, 0).repeat(10, 1))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory):
+    """Folders of eight samples to learn from and of four to validate on."""
+    folder = tmp_path_factory.mktemp("prepared")
+    blocks = torch.randint(0, 256, (3, 33, 33), generator=torch.Generator().manual_seed(0)).to(torch.uint8)
+    scene = blocks.repeat_interleave(10, 1).repeat_interleave(10, 2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prepared_module, "SHARD_SAMPLES", 4)
+        for name, shards, seed in (("samples", 2, 1), ("validation", 1, 2)):
+            target = folder / name
+            prepare(target, scenes=[scene], mix=SHORT, photography=PLAIN, shards=range(shards), seed=seed)
+    return folder
+
+
+def from_prepared(folder, *, network=PHYSICS, optimiser=ONCE, validation=4):
+    data = DataConfig(
+        prepared=str(folder / "samples"), prepared_validation=str(folder / "validation"), validation=validation
+    )
+    return TrainingConfig(data, network=network, optimiser=optimiser)
+
+
+def live(photos, *, network=PHYSICS, validation=2, optimiser=ONCE):
+    data = DataConfig(photos=str(photos), held_out=3, motions=5, validation=validation)
+    return TrainingConfig(data, motions=SHORT, photography=PLAIN, network=network, optimiser=optimiser)
+
+
+def toml(config):
+    """The entries of a prepared run as a file for the command."""
+    data, network, optimiser = config.data, config.network, config.optimiser
+    return f"""
+[data]
+prepared = "{data.prepared}"
+prepared_validation = "{data.prepared_validation}"
+validation = {data.validation}
+[network]
+backbone = "none"
+physics_channels = 8
+physics_width = {network.physics_width}
+physics_depth = 1
+physics_patch = 2
+denoiser_width = {network.denoiser_width}
+decoder_widths = {list(network.decoder_widths)}
+dwell = true
+time_width = 16
+[optimiser]
+steps = {optimiser.steps}
+batch = {optimiser.batch}
+window = {optimiser.window}
+seed = {optimiser.seed}
+"""
+
+
+# ---- one piece
+
+
+def assert_left_behind(folder, *, step):
+    checkpoint = read_checkpoint(folder / "checkpoint")
+    assert checkpoint.step == step
+    rows = read_log(folder / "log.csv")
+    assert rows[-1]["step"] == step
+    assert 0 <= rows[-1]["validation_mnc"] <= 1
+    assert (folder / "progress.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(path.name for path in folder.iterdir()) == ["checkpoint", "log.csv", "progress.png"]
+
+
+def test_a_run_from_prepared_samples(prepared, tmp_path, capsys):
+    config = from_prepared(prepared, optimiser=replace(ONCE, steps=3))
+    trainer = train(config, tmp_path / "deep" / "run", pace=Pace(validate_steps=2))
+    assert trainer.step == 3
+    assert_left_behind(tmp_path / "deep" / "run", step=3)
+    assert [row["step"] for row in read_log(tmp_path / "deep" / "run" / "log.csv")] == [2, 3]  # the end only once
+    assert "new run, from step 0 of 3" in capsys.readouterr().err
+
+
+def test_a_run_from_photos_with_physics_maps(photos, tmp_path):
+    train(live(photos), tmp_path, pace=Pace(minutes=0))
+    assert_left_behind(tmp_path, step=1)
+
+
+def test_a_run_from_photos_with_a_photo_encoder(photos, tmp_path):
+    network = NetworkConfig(backbone="b0", features="f2", width=8, denoiser_width=8, decoder_widths=(8, 4))
+    train(live(photos, network=network, validation=1), tmp_path, pace=Pace(minutes=0))
+    assert_left_behind(tmp_path, step=1)
+
+
+def test_no_minutes_are_one_step_and_the_next_piece_goes_on(prepared, tmp_path, capsys):
+    config = from_prepared(prepared, optimiser=replace(ONCE, steps=4))
+    for step in (1, 2):
+        train(config, tmp_path, pace=Pace(minutes=0))
+        assert_left_behind(tmp_path, step=step)
+    assert "resumed at step 1 of 4" in capsys.readouterr().err
+    whole = tmp_path / "whole"
+    train(replace(config, optimiser=replace(ONCE, steps=4)), whole)
+    train(config, tmp_path)
+    pieces, expected = (read_checkpoint(folder / "checkpoint").tensors for folder in (tmp_path, whole))
+    assert all(torch.equal(pieces[name], tensor) for name, tensor in expected.items())
+
+
+def test_a_finished_run_stays_as_it_is(prepared, tmp_path):
+    config = from_prepared(prepared)
+    train(config, tmp_path)
+    before = read_checkpoint(tmp_path / "checkpoint")
+    trainer = train(config, tmp_path)
+    assert trainer.step == 1
+    after = read_checkpoint(tmp_path / "checkpoint")
+    assert after.seconds == before.seconds
+    assert all(torch.equal(after.tensors[name], tensor) for name, tensor in before.tensors.items())
+
+
+def test_a_piece_saves_as_often_as_asked(prepared, tmp_path, monkeypatch):
+    saves = []
+    monkeypatch.setattr("motdiff.training.run.Trainer.save", lambda trainer, _folder: saves.append(trainer.step))
+    config = from_prepared(prepared, optimiser=replace(ONCE, steps=3))
+    train(config, tmp_path, pace=Pace(save_s=0))
+    assert saves == [1, 2, 3, 3]
+    saves.clear()
+    train(config, tmp_path)
+    assert saves == [3]
+
+
+def test_a_signal_ends_a_piece_with_a_checkpoint(prepared, tmp_path):
+    config = from_prepared(prepared, optimiser=replace(ONCE, steps=1_000_000))
+    (tmp_path / "run.toml").write_text(toml(config))
+    command = [sys.executable, "-m", "motdiff", "train", "run.toml", "-o", "run", "--save-every", "0", "--device", "cpu"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
+    with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            until = time.monotonic() + 120
+            while not (tmp_path / "run" / "checkpoint").exists():  # from now on the signals are noted
+                assert process.poll() is None, process.stderr.read()
+                assert time.monotonic() < until
+                time.sleep(0.05)
+            process.send_signal(signal.SIGTERM)
+            _, told = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert process.returncode == 0, told
+    assert "Traceback" not in told
+    step = read_checkpoint(tmp_path / "run" / "checkpoint").step
+    assert step >= 1
+    assert_left_behind(tmp_path / "run", step=step)
+
+
+def test_signals_have_their_own_meaning_again_after_a_piece(prepared, tmp_path):
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    train(from_prepared(prepared), tmp_path)
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_a_second_signal_does_not_wait(prepared, tmp_path, monkeypatch):
+    def impatient(_trainer, _source):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr("motdiff.training.run.Trainer.update", impatient)
+    with pytest.raises(KeyboardInterrupt):
+        train(from_prepared(prepared), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "pace", [{"minutes": -1.0}, {"minutes": float("nan")}, {"save_s": -1.0}, {"validate_steps": 0}]
+)
+def test_an_impossible_pace_is_refused(pace):
+    (name,) = pace
+    with pytest.raises(ValueError, match=f"^{name}: must be at least"):
+        Pace(**pace)
+
+
+# ---- sources
+
+
+def test_validation_is_on_held_out_photos(photos):
+    sources = make_sources(live(photos, network=NetworkConfig(backbone="b0"), validation=3))
+    assert isinstance(sources.training, LiveSource)
+    (fixed,) = sources.validation
+    assert len(fixed) == 3
+    assert (fixed.photo.mean(dim=(1, 2, 3)) < 0.7).all()
+    seen = sources.training.batch(0, 4).photo
+    assert (seen.mean(dim=(1, 2, 3)) > 0.7).all()
+
+
+def test_validation_is_on_other_motions_and_always_the_same(photos):
+    config = live(photos, network=NetworkConfig(backbone="b0"), validation=3)
+    first, second = (make_sources(config).validation[0] for _ in range(2))
+    assert torch.equal(first.photo, second.photo)
+    assert torch.equal(first.x0, second.x0)
+    seen = make_sources(config).training.batch(0, 8).x0
+    assert not any(torch.equal(a, b) for a in first.x0 for b in seen)
+
+
+def test_validation_takes_each_prepared_sample_once(prepared):
+    stored = read_shards(prepared / "validation").x0.float()
+    for validation, count in [(3, 3), (4, 4), (256, 4)]:
+        sources = make_sources(from_prepared(prepared, validation=validation))
+        assert isinstance(sources.training, PreparedSource)
+        maps = torch.cat([batch.x0 for batch in sources.validation])
+        assert len(maps) == count
+        found = [[torch.equal(a, b) for b in stored].index(True) for a in maps]  # neither turned nor mirrored
+        assert len(set(found)) == count
+
+
+def test_physics_maps_must_fit_the_network(prepared, photos):
+    wrong = replace(PHYSICS, physics_channels=6)
+    for config in (from_prepared(prepared, network=wrong), live(photos, network=wrong)):
+        with pytest.raises(ValueError, match=r"^network\.physics_channels: must be 8"):
+            make_sources(config)
+
+
+def test_a_perfect_network_is_validated_as_one(prepared):
+    """Drawn from the truth itself, the MNC is 1; a network that has learnt nothing is far from it."""
+    config = from_prepared(prepared)
+    sources = make_sources(config)
+    trainer = train_nothing(config)
+    untrained = validation_mnc(trainer, sources.validation)
+    (batch,) = sources.validation
+
+    class Oracle:
+        def condition(self, photo, physics):
+            return torch.zeros(len(physics), 1, 64, 64)
+
+        def denoise(self, x_t, t, condition):
+            return torch.cat([40 * (2 * batch.x0 - 1), torch.log(torch.expm1(batch.dwell.clamp(min=1e-4)))], dim=1)
+
+    trainer.average = Oracle()
+    assert validation_mnc(trainer, sources.validation) == pytest.approx(1, abs=1e-3)
+    assert 0 <= untrained < 0.8
+
+
+def train_nothing(config):
+    from motdiff.training.loop import Trainer
+
+    return Trainer(config)
+
+
+# ---- several processes
+
+TOGETHER = """
+import os, sys, torch
+from pathlib import Path
+from motdiff.training.config import read_config
+from motdiff.training.run import Pace, train
+
+torch.set_num_threads(1)
+rank = int(os.environ["RANK"])
+pace = Pace(minutes=0 if rank == 1 and sys.argv[3] == "first" else 1000)  # one clock is ahead: both must end
+trainer = train(read_config(sys.argv[1]), sys.argv[2], pace=pace)
+torch.save([trainer.step, list(trainer.network.parameters())], Path(sys.argv[2]) / f"rank{rank}.pt")
+"""
+
+
+def test_two_processes_train_one_network(prepared, tmp_path):
+    config = from_prepared(prepared, optimiser=replace(ONCE, steps=2))
+    (tmp_path / "run.toml").write_text(toml(config))
+    (tmp_path / "together.py").write_text(TOGETHER)
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
+    run = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--standalone", "together.py"]
+    for piece, step in (("first", 1), ("second", 2)):
+        command = [*run, "run.toml", "run", piece]
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        steps, parameters = zip(*(torch.load(tmp_path / "run" / f"rank{rank}.pt") for rank in (0, 1)), strict=True)
+        assert steps == (step, step)
+        assert all(torch.equal(a, b) for a, b in zip(*parameters, strict=True))
+        assert all(parameter.isfinite().all() for parameter in parameters[0])
+        assert done.stderr.count("validation MNC") == 1
+    scores = [row["validation_mnc"] for row in read_log(tmp_path / "run" / "log.csv")]
+    assert len(scores) == 2  # of one process only
+    assert read_checkpoint(tmp_path / "run" / "checkpoint").step == 2
