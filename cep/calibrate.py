@@ -18,8 +18,8 @@ from motdiff.gyro import GyroTrace
 
 __all__ = ["CALIBRATION_FILES", "METHODS", "calibrate", "check_texture", "make_estimator", "write_calibration"]
 
-METHODS = ("pmp", "reference", "point", "gyro")
-"""Names of the estimators: blind, with a sharp photo, of a small light, from a gyroscope."""
+METHODS = ("motdiff", "pmp", "reference", "point", "gyro")
+"""Names of the estimators: blind by diffusion model and classically, with a sharp photo, of a light, by gyroscope."""
 
 CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png")
 """What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field."""
@@ -28,8 +28,10 @@ _LEAST_CONTRAST = 2 / 255
 
 
 def make_estimator(
-    method: str = "pmp",
+    method: str = "motdiff",
     *,
+    samples: int | None = None,
+    seed: int = 0,
     sharp: ArrayLike | None = None,
     gyro: GyroTrace | None = None,
     focal_px: float | None = None,
@@ -41,7 +43,11 @@ def make_estimator(
 
     Parameters
     ----------
-    method : {"pmp", "reference", "point", "gyro"}
+    method : {"motdiff", "pmp", "reference", "point", "gyro"}
+    samples : int, optional
+        For "motdiff": motions drawn.
+    seed : int
+        Of what is drawn at random.
     sharp : (H, W) or (H, W, 3) array_like, linear light 0..1
         For "reference": a sharp photo of the same scene.
     gyro, focal_px, start_s, exposure_s
@@ -55,14 +61,15 @@ def make_estimator(
         If the method is not known, or something it needs is missing or something it has no use for is given.
     """
     needed = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}}
-    options = {"sharp": sharp, "gyro": gyro, "focal_px": focal_px, "start_s": start_s, "exposure_s": exposure_s}
+    allowed = {"motdiff": {"samples"}}
+    options = {"samples": samples, "sharp": sharp, "gyro": gyro, "focal_px": focal_px, "start_s": start_s, "exposure_s": exposure_s}
     if method not in METHODS:
         raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {method!r}")
     given = {name for name, value in options.items() if value is not None}
     wanted = needed.get(method, set())
     for name in sorted(wanted - given):
         raise ValueError(f'{name}: the method "{method}" needs it')
-    for name in sorted(given - wanted):
+    for name in sorted(given - wanted - allowed.get(method, set())):
         raise ValueError(f'{name}: the method "{method}" has no use for it')
     if method == "reference" and sharp is not None:
         from motdiff.estimators.reference import ReferenceEstimator
@@ -82,9 +89,13 @@ def make_estimator(
         from motdiff.estimators.point import PointEstimator
 
         return PointEstimator()
-    from motdiff.estimators.pmp import PmpEstimator
+    if method == "pmp":
+        from motdiff.estimators.pmp import PmpEstimator
 
-    return PmpEstimator(progress=progress)
+        return PmpEstimator(progress=progress)
+    from motdiff.estimators.motdiff import MotDiffEstimator
+
+    return MotDiffEstimator(samples=8 if samples is None else samples, seed=seed, progress=progress)
 
 
 def calibrate(photo: ArrayLike, estimator: Estimator | None = None) -> MotionEstimate:
@@ -94,7 +105,7 @@ def calibrate(photo: ArrayLike, estimator: Estimator | None = None) -> MotionEst
     ----------
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1
     estimator : Estimator, optional
-        The blind one (``pmp``) when omitted.
+        The blind one (``motdiff``) when omitted.
 
     Raises
     ------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -159,13 +160,16 @@ def _add_export(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser = commands.add_parser("export", help="write a run's averaged weights as one small file")
     parser.add_argument("run", type=Path, help="folder of the run")
     parser.add_argument("-o", "--out", type=Path, required=True, help=".safetensors file")
+    parser.add_argument("--offset", type=float, default=0.0, help="taken from the path's logits")
+    parser.add_argument("--card", type=Path, help="JSON file: what else the header should say (data, figures)")
     parser.set_defaults(command=_export)
 
 
 def _export(given: argparse.Namespace) -> None:
     from motdiff.weights import export_weights
 
-    size = export_weights(given.run / "checkpoint", given.out)
+    card = None if given.card is None else json.loads(given.card.read_text(encoding="utf-8"))
+    size = export_weights(given.run / "checkpoint", given.out, offset=given.offset, card=card)
     print(f"{given.out}: {size / 2**20:.1f} MiB", file=sys.stderr)  # noqa: T201
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft, ndimage
@@ -10,6 +12,7 @@ from motdiff.trajectory import Trajectory
 
 __all__ = [
     "mnc",
+    "mnc_matrix",
     "mnc_subpixel",
     "ordered_distance_px",
     "path_distance_px",
@@ -52,6 +55,37 @@ def mnc_subpixel(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
     psf_a, psf_b : (H, W) array_like
     """
     return _subpixel_peak(_correlation(psf_a, psf_b))[0]
+
+
+def mnc_matrix(psfs: Sequence[ArrayLike]) -> FloatArray:
+    """MNC of every pair of PSFs at shifts of whole and half pixels: quicker than :func:`mnc_subpixel`, up to 0.02 less.
+
+    Parameters
+    ----------
+    psfs : sequence of N (S, S) array_like, their frames may differ
+
+    Returns
+    -------
+    (N, N) float64, symmetric, 1 on the diagonal
+
+    Raises
+    ------
+    ValueError
+        If there are none, or one is not two-dimensional, not finite, or all zero.
+    """
+    images = [_checked(f"psfs[{i}]", psf) for i, psf in enumerate(psfs)]
+    if not images:
+        raise ValueError("psfs: needs at least one")
+    frame = fft.next_fast_len(2 * max(max(image.shape) for image in images), real=True) // 2 * 2
+    spectra = [fft.rfft2(image / np.linalg.norm(image), (frame, frame)) for image in images]
+    alike = np.eye(len(images))
+    fine = np.zeros((2 * frame, frame // 2 + 1), dtype=np.complex128)  # twice the samples: half pixels
+    for i, one in enumerate(spectra):
+        for j in range(i):
+            product = one * spectra[j].conj()
+            fine[: frame // 2], fine[-frame // 2 :] = product[: frame // 2], product[frame // 2 :]
+            alike[i, j] = alike[j, i] = 4 * float(fft.irfft2(fine, (2 * frame, 2 * frame)).max())
+    return np.clip(alike, 0, 1)
 
 
 def register_shift(psf_a: ArrayLike, psf_b: ArrayLike) -> tuple[float, float]:
@@ -163,14 +197,18 @@ def _warped_mean(distance: FloatArray) -> float:
 
 def _correlation(psf_a: ArrayLike, psf_b: ArrayLike) -> FloatArray:
     """Full normalised cross-correlation; index (h_b - 1, w_b - 1) is the zero shift of the frames' corners."""
-    a, b = np.asarray(psf_a, dtype=np.float64), np.asarray(psf_b, dtype=np.float64)
-    for name, psf in (("psf_a", a), ("psf_b", b)):
-        if psf.ndim != 2 or not np.isfinite(psf).all() or not np.any(psf):
-            raise ValueError(f"{name}: must be a finite (H, W) array with some light, got shape {psf.shape}")
+    a, b = _checked("psf_a", psf_a), _checked("psf_b", psf_b)
     shape = (a.shape[0] + b.shape[0] - 1, a.shape[1] + b.shape[1] - 1)
     product = fft.rfft2(a, shape) * fft.rfft2(b[::-1, ::-1], shape)
     full = fft.irfft2(product, shape)
     return np.asarray(full / (np.linalg.norm(a) * np.linalg.norm(b)), dtype=np.float64)
+
+
+def _checked(name: str, psf: ArrayLike) -> FloatArray:
+    image = np.asarray(psf, dtype=np.float64)
+    if image.ndim != 2 or not np.isfinite(image).all() or not np.any(image):
+        raise ValueError(f"{name}: must be a finite (H, W) array with some light, got shape {image.shape}")
+    return image
 
 
 def _subpixel_peak(correlation: FloatArray) -> tuple[float, tuple[float, float]]:

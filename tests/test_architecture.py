@@ -30,6 +30,7 @@ HEAVY_ALLOWED = {
         "motdiff/grids.py",
         "motdiff/losses.py",
         "motdiff/network/",
+        "motdiff/parallel.py",
         "motdiff/sampling.py",
         "motdiff/training/",
         "motdiff/weights/",

@@ -21,14 +21,20 @@ def calibrate(
     ] = None,
     method: Annotated[
         str,
-        typer.Option("--method", help="pmp (blind), reference (needs --sharp), point (a small light), gyro."),
-    ] = "pmp",
+        typer.Option(
+            "--method",
+            help="motdiff (blind, diffusion model), pmp (blind, classical), reference (needs --sharp), "
+            "point (a small light), gyro.",
+        ),
+    ] = "motdiff",
     sharp: Annotated[Path | None, typer.Option("--sharp", help="reference: a sharp photo of the same scene.")] = None,
     gyro: Annotated[Path | None, typer.Option("--gyro", help="gyro: table of time and three rates (rad/s).")] = None,
     focal: Annotated[float | None, typer.Option("--focal", help="gyro: focal length, px.")] = None,
     start: Annotated[float | None, typer.Option("--start", help="gyro: opening on the recording's clock, s.")] = None,
     exposure: Annotated[float | None, typer.Option("--exposure", help="gyro: exposure time, s.")] = None,
-    samples: Annotated[int, typer.Option("--samples", min=1, help="Motions to draw; these methods find one each.")] = 1,
+    samples: Annotated[
+        int | None, typer.Option("--samples", min=1, help="motdiff: motions to draw; 8 when omitted.")
+    ] = None,
     gamma: Gamma = "srgb",
     force: Force = False,
     seed: Seed = 0,
@@ -56,6 +62,8 @@ def calibrate(
         with progress(f"estimating the motion ({method})") as tick:
             estimator = make_estimator(
                 method,
+                samples=samples,
+                seed=seed,
                 sharp=sharp_photo,
                 gyro=recording,
                 focal_px=focal,
@@ -70,8 +78,6 @@ def calibrate(
     files = write_calibration(folder, found, photo.pixels, source={"image": str(image), "seed": seed}, force=force)
     motion = found.trajectories[0]
     warnings = [*photo.warnings, *found.warnings]
-    if samples > len(found.trajectories):
-        warnings.append(f'--samples {samples}: the method "{method}" finds one motion only')
     result = {
         "method": found.method,
         "trajectory": files["trajectory.json"],

@@ -19,15 +19,21 @@ __all__ = ["DEFAULT_WEIGHTS", "export_weights", "load_network", "read_card"]
 
 DEFAULT_WEIGHTS = Path(__file__).with_name("motdiff.safetensors")
 _SCHEMA = "motdiff.weights/1"
+_OUTPUT_BIAS = "denoiser.output.1.bias"
 
 
-def export_weights(checkpoint: Path | str, target: Path | str, *, card: Mapping[str, object] | None = None) -> int:
+def export_weights(
+    checkpoint: Path | str, target: Path | str, *, offset: float = 0.0, card: Mapping[str, object] | None = None
+) -> int:
     """Write the averaged weights of a run as float16, with its configuration in the header.
 
     Parameters
     ----------
     checkpoint : folder of a checkpoint
     target : .safetensors file to write
+    offset : float
+        Taken from the path's logits. A loss that weighs path pixels more makes the network say too often that a pixel
+        is on the path; a sampler that believes it fills in where the path is uncertain.
     card : mapping, optional
         What else should stand in the header: figures, data.
 
@@ -51,11 +57,15 @@ def export_weights(checkpoint: Path | str, target: Path | str, *, card: Mapping[
     for name, tensor in tensors.items():
         if not tensor.isfinite().all():
             raise ValueError(f"{checkpoint}: {name} holds values that float16 cannot, above 65504")
+    bias = tensors[_OUTPUT_BIAS].clone()
+    bias[0] -= offset
+    tensors[_OUTPUT_BIAS] = bias
     header = {
         "schema": _SCHEMA,
         "config": json.dumps(found.config),
         "step": str(found.step),
         "seconds": f"{found.seconds:.0f}",
+        "offset": f"{offset:g}",
         "card": json.dumps(dict(card or {})),
     }
     data = _in_order(save({name: tensor.contiguous() for name, tensor in tensors.items()}, header), header)
@@ -88,7 +98,7 @@ def load_network(path: Path | str = DEFAULT_WEIGHTS, *, device: str | torch.devi
 
 
 def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
-    """Read what a weights file says of itself: ``config``, ``card``, and ``run`` (steps, seconds).
+    """Read what a weights file says of itself: ``config``, ``card``, and ``run`` (steps, seconds, offset).
 
     Raises
     ------
@@ -103,7 +113,11 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
     if header.get("schema") != _SCHEMA:
         raise ValueError(f"{path}: is no {_SCHEMA} file, its schema is {header.get('schema')!r}")
     try:
-        run: dict[str, Any] = {"steps": int(header["step"]), "seconds": float(header["seconds"])}
+        run: dict[str, Any] = {
+            "steps": int(header["step"]),
+            "seconds": float(header["seconds"]),
+            "offset": float(header["offset"]),
+        }
         return {"config": json.loads(header["config"]), "card": json.loads(header["card"]), "run": run}
     except (KeyError, ValueError) as error:
         raise ValueError(f"{path}: its header is not whole: {error}") from error

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -16,6 +15,7 @@ from motdiff.conditions import QUICK_STARTS, physics_maps, quick_kernels
 from motdiff.diffusion import cosine_schedule
 from motdiff.grids import inverse_symmetry, mirrored
 from motdiff.network import MotDiffNetwork
+from motdiff.parallel import side_by_side
 from motdiff.sampling import psfs_of_maps, sample_paths
 
 __all__ = ["Drawn", "draw_psfs", "searched_quickly"]
@@ -84,20 +84,9 @@ def draw_psfs(
 
 
 def searched_quickly(crops: Tensor, *, sigma: float) -> Tensor:
-    """Run the quick searches of (1, C, H, W) side by side, one thread each, to kernels (1, Q, 64, 64)."""
-    threads = torch.get_num_threads()
-    try:
-        with ThreadPoolExecutor(os.cpu_count() or 1, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-            runs = [pool.submit(_one_start, crops, sigma, start) for start in range(len(QUICK_STARTS))]
-            found = [run.result() for run in runs]
-    finally:
-        torch.set_num_threads(threads)
-    return torch.cat(found, dim=1)
-
-
-def _one_start(crops: Tensor, sigma: float, number: int) -> Tensor:
-    with torch.no_grad():  # a thread has its own gradient mode
-        return quick_kernels(crops, sigma=sigma, starts=QUICK_STARTS[number : number + 1])
+    """Run the quick searches of (1, C, H, W) side by side, to kernels (1, Q, 64, 64)."""
+    jobs = [partial(quick_kernels, crops, sigma=sigma, starts=(start,)) for start in QUICK_STARTS]
+    return torch.cat(side_by_side(jobs), dim=1)
 
 
 def _photo(crops: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.blind import Found, estimate_blind
 from motdiff.estimators.motdiff.drawing import Drawn, draw_psfs, searched_quickly
+from motdiff.estimators.motdiff.judgement import features, probabilities
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.blind import refine_kernel
-from motdiff.estimators.pmp.score import noise_sigma, rank_kernels
-from motdiff.metrics import mnc_subpixel
+from motdiff.estimators.pmp.score import Judge, noise_sigma
+from motdiff.metrics import mnc_matrix, mnc_subpixel
+from motdiff.parallel import side_by_side
 from motdiff.weights import load_network
 
 __all__ = ["MotDiffEstimator"]
@@ -91,29 +94,34 @@ class MotDiffEstimator:
 
     def search(self, crops: FloatArray) -> Found:
         """Draw, judge and refine kernels of the crops (C, H, W)."""
-        sigma = float(np.median([noise_sigma(crop) for crop in crops]))
+        judge = Judge(crops)
         drawn = draw_psfs(
             self._network,
             crops,
-            sigma=sigma,
+            sigma=judge.sigma,
             count=self._samples,
             steps=self._steps,
             generator=torch.Generator().manual_seed(self._seed),
         )
         self._progress(0.5)
         kernels = _candidates(drawn)
-        ranking = rank_kernels(crops, kernels)
+        evidence = judge.evidence(kernels)
+        groups = {"samples": len(drawn.psfs), "quick": len(drawn.quick)}
+        believed = probabilities(features(evidence, kernels, **groups))
         if self._refine:
-            chosen = _distinct(kernels, np.argsort(-ranking.probabilities), most=_REFINED)
-            kernels += [_refined(crops, kernels[i], sigma) for i in chosen]
-            ranking = rank_kernels(crops, kernels)
+            chosen = _distinct(kernels, np.argsort(-believed), most=_REFINED)
+            refined = side_by_side([partial(_refined, crops, kernels[i], judge.sigma) for i in chosen])
+            kernels += refined
+            evidence = np.vstack([evidence, judge.evidence(refined)])
+            believed = probabilities(features(evidence, kernels, **groups))
+        best = int(np.argmax(believed))
         details: dict[str, object] = {
-            "samples": self._samples,
+            **groups,
             "steps": self._steps,
             "sample_agreement": _agreement(drawn.psfs),
-            "chosen": ranking.best,
+            "chosen": _origin(best, **groups),
         }
-        found = Found(tuple(kernels), ranking.probabilities, ranking.best, details)
+        found = Found(tuple(kernels), believed, best, details)
         return self._fallen_back(crops, found) if self._fall_back and found.confidence < _UNSURE else found
 
     def _fallen_back(self, crops: FloatArray, found: Found) -> Found:
@@ -137,17 +145,27 @@ class MotDiffEstimator:
 
 
 def _candidates(drawn: Drawn) -> list[FloatArray]:
-    """Gather the samples, their mean, and the quick kernels, in odd frames of 63 px."""
-    together = np.concatenate([drawn.psfs, drawn.psfs.mean(axis=0, keepdims=True), drawn.quick])
+    """Gather the samples, the quick kernels, and the samples' mean, in odd frames of 63 px."""
+    together = np.concatenate([drawn.psfs, drawn.quick, drawn.psfs.mean(axis=0, keepdims=True)])
     odd = together[:, 1:, 1:]
     return list(odd / odd.sum(axis=(1, 2), keepdims=True))
 
 
+def _origin(index: int, *, samples: int, quick: int) -> str:
+    """Tell where a candidate comes from, by its place."""
+    if index < samples:
+        return "sample"
+    if index < samples + quick:
+        return "quick"
+    return "mean" if index == samples + quick else "refined"
+
+
 def _distinct(kernels: list[FloatArray], order: NDArray[np.intp], *, most: int) -> list[int]:
     """First kernels of ``order`` that are not alike."""
+    alike = mnc_matrix(kernels)
     chosen: list[int] = []
     for i in order:
-        if all(mnc_subpixel(kernels[i], kernels[j]) < _SAME_MNC for j in chosen):
+        if all(alike[i, j] < _SAME_MNC for j in chosen):
             chosen.append(int(i))
             if len(chosen) == most:
                 break
@@ -157,9 +175,8 @@ def _distinct(kernels: list[FloatArray], order: NDArray[np.intp], *, most: int) 
 def _refined(crops: FloatArray, kernel: FloatArray, sigma: float) -> FloatArray:
     light = torch.from_numpy(crops.astype(np.float32))[None]
     refined = torch.from_numpy(kernel.astype(np.float32))[None]
-    with torch.no_grad():
-        for _ in range(_ROUNDS):
-            refined = refine_kernel(light, refined, sigma=sigma)
+    for _ in range(_ROUNDS):
+        refined = refine_kernel(light, refined, sigma=sigma)
     return np.asarray(refined[0].double().numpy(), dtype=np.float64)
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -15,6 +14,7 @@ from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.blind import Found, estimate_blind
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
 from motdiff.estimators.pmp.score import noise_sigma, rank_kernels
+from motdiff.parallel import side_by_side
 
 __all__ = ["STARTS", "PmpEstimator", "Start"]
 
@@ -101,7 +101,7 @@ class PmpEstimator:
 
     def search(self, crops: FloatArray) -> Found:
         """Run every start on the crops (C, H, W) and refine the best."""
-        kernels = self._run_all([(crops, start) for start in self._starts], self._tell)
+        kernels = side_by_side([partial(self._run, crops, start) for start in self._starts], tell=self._tell)
         ranking = rank_kernels(crops, kernels)
         kernels[ranking.best] = self._refined(crops, kernels[ranking.best])
         details: dict[str, object] = {"starts": len(kernels), "agreement": ranking.agreement}
@@ -109,31 +109,10 @@ class PmpEstimator:
 
     def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:
         """Run the winning start on each crop alone."""
-        return self._run_all([(crop[None], self._starts[found.best]) for crop in crops])
+        return side_by_side([partial(self._run, crop[None], self._starts[found.best]) for crop in crops])
 
     def _tell(self, finished: int) -> None:
         self._progress(0.8 * finished / len(self._starts))
-
-    def _run_all(
-        self, jobs: list[tuple[FloatArray, Start]], tell: Callable[[int], None] = lambda _finished: None
-    ) -> list[FloatArray]:
-        """Run the searches side by side, one thread each: their arrays are too small to share one."""
-        workers = min(len(jobs), os.cpu_count() or 1) if self._device == "cpu" else 1
-        threads = torch.get_num_threads()
-        kernels = []
-        try:
-            with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-                runs = [pool.submit(self._run, *job) for job in jobs]
-                try:
-                    for run in runs:
-                        kernels.append(run.result())
-                        tell(len(kernels))
-                except BaseException:  # Ctrl-C: do not start what still waits
-                    pool.shutdown(wait=False, cancel_futures=True)
-                    raise
-        finally:
-            torch.set_num_threads(threads)
-        return kernels
 
     def _run(self, crops: FloatArray, start: Start) -> FloatArray:
         turned = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
@@ -141,8 +120,7 @@ class PmpEstimator:
         settings = PmpSettings.for_noise(_sigma(crops))
         settings = replace(settings, sparsity=start.sparsity, gradient_weight=start.gradient_weight)
         size = min(start.size, (min(crops.shape[1:]) // 2) * 2 - 1)
-        with torch.no_grad():
-            kernel = estimate_kernels(batch, size=size, settings=settings)[0].cpu().numpy()
+        kernel = estimate_kernels(batch, size=size, settings=settings)[0].cpu().numpy()
         return np.ascontiguousarray(np.rot90(kernel, -start.quarter_turns), dtype=np.float64)
 
     def _refined(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:

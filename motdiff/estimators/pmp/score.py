@@ -14,9 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-from motdiff.metrics import mnc_subpixel
+from motdiff.metrics import mnc_matrix
 
-__all__ = ["FEATURES", "Ranking", "kernel_features", "noise_sigma", "phase_evidence", "rank_kernels", "spectral_fit"]
+__all__ = [
+    "FEATURES",
+    "Judge",
+    "Phase",
+    "Ranking",
+    "Spectrum",
+    "kernel_features",
+    "noise_sigma",
+    "phase_evidence",
+    "rank_kernels",
+    "spectral_fit",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -64,17 +75,16 @@ def noise_sigma(photo: FloatArray) -> float:
     return float(np.median(np.abs(mixed)) / 0.6745 / 6)
 
 
-def spectral_fit(photo: FloatArray, kernel: FloatArray, *, sigma: float) -> float:
-    r"""Correlation, -1..1, of the photo's log power spectrum with the kernel's, over what scenes do by themselves.
+class Spectrum:
+    r"""A photo's power spectrum, prepared to be compared with those of kernels.
 
-    The model is ``A |K(f)|^2 / |f|^2 + sigma^2``, A at its maximum likelihood. A smooth scene spectrum (a power law
-    with curvature, and two harmonics of orientation) is regressed out of both sides, so that what remains are the
-    dips that only the kernel makes.
+    The model of the spectrum is ``A |K(f)|^2 / |f|^2 + sigma^2``, A at its maximum likelihood. A smooth scene spectrum
+    (a power law with curvature, and two harmonics of orientation) is regressed out of both sides, so that what remains
+    are the dips that only the kernel makes.
 
     Parameters
     ----------
     photo : (H, W) float
-    kernel : (k, k) float, sum 1
     sigma : float
         Standard deviation of the noise.
 
@@ -82,55 +92,132 @@ def spectral_fit(photo: FloatArray, kernel: FloatArray, *, sigma: float) -> floa
     ----------
     Whittle, "Estimation and information in stationary time series", 1953 (likelihood of a periodogram).
     """
-    height, width = photo.shape
-    window = np.hanning(height)[:, None] * np.hanning(width)[None, :]
-    window /= np.sqrt(np.mean(window**2))
-    centred = (photo - np.average(photo, weights=window)) * window
-    power = np.abs(fft.fft2(centred)) ** 2 / (height * width)
-    fy, fx = fft.fftfreq(height)[:, None], fft.fftfreq(width)[None, :]
-    radius2 = fx**2 + fy**2
-    used = (radius2 > _BAND_CY_PX[0] ** 2) & (radius2 < _BAND_CY_PX[1] ** 2) & (fx >= 0)
-    radius2[0, 0] = 1.0
-    scene = np.abs(fft.fft2(kernel, s=(height, width))) ** 2 / radius2
-    floor = max(sigma, _LEAST_SIGMA) ** 2
-    start = np.exp(np.median(np.log(power[used])) - np.median(np.log(scene[used] + 1e-12)))
-    models = [amplitude * scene + floor for amplitude in start * np.geomspace(0.03, 30, 9)]
-    misfits = [float(np.mean(np.log(model[used]) + power[used] / model[used])) for model in models]
-    model = models[int(np.argmin(misfits))]
-    log_radius, angle = np.log(radius2)[used], np.arctan2(fy, fx)[used]
-    smooth = np.stack(
-        [np.ones_like(angle), log_radius, log_radius**2]
-        + [wave(order * angle) for order in (2, 4) for wave in (np.cos, np.sin)],
-        axis=1,
-    )
-    basis, _ = np.linalg.qr(smooth)
-    # 3 x 3 means tame the exponential scatter of a periodogram
-    sides = [np.log(ndimage.uniform_filter(side, 3, mode="wrap"))[used] for side in (power, model)]
-    seen, expected = (side - basis @ (basis.T @ side) for side in sides)
-    return float(seen @ expected / np.sqrt((seen @ seen) * (expected @ expected) + 1e-12))
+
+    def __init__(self, photo: FloatArray, *, sigma: float) -> None:
+        height, width = self._shape = photo.shape
+        window = np.hanning(height)[:, None] * np.hanning(width)[None, :]
+        window /= np.sqrt(np.mean(window**2))
+        centred = (photo - np.average(photo, weights=window)) * window
+        power = np.abs(fft.rfft2(centred)) ** 2 / (height * width)
+        fy, fx = fft.fftfreq(height)[:, None], np.abs(fft.rfftfreq(width))[None, :]
+        radius2 = fx**2 + fy**2
+        self._used = (radius2 > _BAND_CY_PX[0] ** 2) & (radius2 < _BAND_CY_PX[1] ** 2)
+        radius2[0, 0] = 1.0
+        self._radius2, self._floor = radius2, max(sigma, _LEAST_SIGMA) ** 2
+        self._power = power[self._used]
+        log_radius, angle = np.log(radius2)[self._used], np.arctan2(fy, fx)[self._used]
+        smooth = np.stack(
+            [np.ones_like(angle), log_radius, log_radius**2]
+            + [wave(order * angle) for order in (2, 4) for wave in (np.cos, np.sin)],
+            axis=1,
+        )
+        self._basis, _ = np.linalg.qr(smooth)
+        self._seen = self._ripples(power)
+
+    def fit(self, kernel: FloatArray) -> float:
+        """Correlation, -1..1, of the photo's log power spectrum with that of ``kernel``, (k, k), sum 1."""
+        scene = np.abs(fft.rfft2(kernel, s=self._shape)) ** 2 / self._radius2
+        inside = scene[self._used]
+        start = np.exp(np.median(np.log(self._power)) - np.median(np.log(inside + 1e-12)))
+        amplitudes = start * np.geomspace(0.03, 30, 9)
+        misfits = []
+        for amplitude in amplitudes:
+            model = amplitude * inside + self._floor
+            misfits.append(float(np.mean(np.log(model) + self._power / model)))
+        expected = self._ripples(amplitudes[int(np.argmin(misfits))] * scene + self._floor)
+        seen = self._seen
+        return float(seen @ expected / np.sqrt((seen @ seen) * (expected @ expected) + 1e-12))
+
+    def _ripples(self, power: FloatArray) -> FloatArray:
+        # 3 x 3 means tame the exponential scatter of a periodogram
+        log_power = np.log(ndimage.uniform_filter(power, 3, mode=("wrap", "mirror")))[self._used]
+        return np.asarray(log_power - self._basis @ (self._basis.T @ log_power), dtype=np.float64)
 
 
-def phase_evidence(photo: FloatArray, kernel: FloatArray, *, sigma: float) -> float:
-    """Log ratio of gradient sparsity after restoring with the point-reflected kernel, and with the kernel itself.
+def spectral_fit(photo: FloatArray, kernel: FloatArray, *, sigma: float) -> float:
+    """Correlation of one photo's spectrum with one kernel's: :meth:`Spectrum.fit`."""
+    return Spectrum(photo, sigma=sigma).fit(kernel)
 
-    Positive when the kernel's phase is right: the reflected one has the same power but rings.
+
+class Phase:
+    """A photo prepared to tell kernels from their point reflections, which have the same power.
 
     Parameters
     ----------
     photo : (H, W) float
-    kernel : (k, k) float, odd k
     sigma : float
         Standard deviation of the noise.
     """
-    energy = float(np.mean(np.diff(photo, axis=0) ** 2) + np.mean(np.diff(photo, axis=1) ** 2))
-    noise_to_scene = 40 * max(sigma, 2e-3) ** 2 / max(energy - 4 * sigma**2, 1e-6)
-    sparsities = []
-    for candidate in (kernel, kernel[::-1, ::-1]):
-        restored = _wiener(photo, candidate, noise_to_scene)
+
+    def __init__(self, photo: FloatArray, *, sigma: float) -> None:
+        energy = float(np.mean(np.diff(photo, axis=0) ** 2) + np.mean(np.diff(photo, axis=1) ** 2))
+        noise_to_scene = 40 * max(sigma, 2e-3) ** 2 / max(energy - 4 * sigma**2, 1e-6)
+        self._margin = min(32, min(photo.shape) // 4)
+        padded = np.pad(photo, self._margin, mode="symmetric")
+        self._shape = padded.shape
+        self._spectrum = fft.rfft2(padded)
+        radius2 = fft.fftfreq(padded.shape[0])[:, None] ** 2 + fft.rfftfreq(padded.shape[1])[None, :] ** 2
+        self._penalty = noise_to_scene * radius2 + 1e-12
+
+    def evidence(self, kernel: FloatArray) -> float:
+        """Log ratio of gradient sparsity after restoring with the reflected kernel, and with the kernel itself.
+
+        Positive when the phase of ``kernel``, (k, k) of odd k, is right: the reflected one rings.
+        """
+        centre = kernel.shape[0] // 2
+        frame = np.zeros(self._shape)
+        frame[: kernel.shape[0], : kernel.shape[1]] = kernel
+        transfer = fft.rfft2(np.roll(frame, (-centre, -centre), axis=(0, 1)))
+        quotient = self._spectrum / (np.abs(transfer) ** 2 + self._penalty)
+        # point reflection of a real kernel conjugates its transfer function
+        right, reflected = (self._sparsity(quotient * response) for response in (transfer.conj(), transfer))
+        return reflected - right
+
+    def _sparsity(self, spectrum: NDArray[np.complex128]) -> float:
+        inner = slice(self._margin + 8, -self._margin - 8)
+        restored = fft.irfft2(spectrum, s=self._shape)[inner, inner]
         gradients = np.concatenate([np.diff(restored, axis=axis).ravel() for axis in (0, 1)])
         norm = np.mean(np.abs(gradients) ** _SPARSE_NORM) / np.mean(gradients**2) ** (_SPARSE_NORM / 2)
-        sparsities.append(float(np.log(norm)))
-    return sparsities[1] - sparsities[0]
+        return float(np.log(norm))
+
+
+def phase_evidence(photo: FloatArray, kernel: FloatArray, *, sigma: float) -> float:
+    """Evidence for one kernel's phase in one photo: :meth:`Phase.evidence`."""
+    return Phase(photo, sigma=sigma).evidence(kernel)
+
+
+class Judge:
+    """The crops of a photo, prepared to judge kernels by what the search never looks at.
+
+    Parameters
+    ----------
+    photos : (C, H, W) float
+        Crops that share one blur.
+
+    Attributes
+    ----------
+    sigma : float
+        Standard deviation of their noise.
+    """
+
+    def __init__(self, photos: FloatArray) -> None:
+        self.sigma = float(np.median([noise_sigma(photo) for photo in photos]))
+        self._spectra = [Spectrum(photo, sigma=self.sigma) for photo in photos]
+        self._phases = [Phase(photo, sigma=self.sigma) for photo in photos]
+
+    def evidence(self, kernels: Sequence[FloatArray]) -> FloatArray:
+        """Evidence (K, 3) for kernels (k, k), odd k, sum 1.
+
+        Returns
+        -------
+        Spectral fit and phase evidence (means over crops), and the share of light on the frame's rim.
+        """
+        rows = []
+        for kernel in kernels:
+            fit = np.mean([spectrum.fit(kernel) for spectrum in self._spectra])
+            phase = np.mean([phase.evidence(kernel) for phase in self._phases])
+            rows.append((fit, phase, 1 - kernel[1:-1, 1:-1].sum() / kernel.sum()))
+        return np.array(rows, dtype=np.float64)
 
 
 def kernel_features(photos: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:
@@ -145,23 +232,16 @@ def kernel_features(photos: FloatArray, kernels: Sequence[FloatArray]) -> FloatA
 
     Returns
     -------
-    (K, F) float: spectral fit and phase evidence (means over crops), mean sub-pixel MNC with the candidates most
-    alike, and the share of light on the frame's rim.
+    (K, F) float: spectral fit, mean MNC (half-pixel shifts) with the candidates most alike, phase evidence, and the
+    share of light on the frame's rim.
     """
     count = len(kernels)
-    alike = np.zeros((count, count))
-    for i in range(count):
-        for j in range(i):
-            alike[i, j] = alike[j, i] = mnc_subpixel(kernels[i], kernels[j])
+    alike = mnc_matrix(kernels)
+    np.fill_diagonal(alike, 0)
     top = max(min(_TOP, count - 1), 1)
     agreement = np.sort(alike, axis=1)[:, -top:].mean(axis=1) if count > 1 else np.ones(1)
-    sigma = float(np.median([noise_sigma(photo) for photo in photos]))
-    rows = []
-    for kernel, agreed in zip(kernels, agreement, strict=True):
-        fit = np.mean([spectral_fit(photo, kernel, sigma=sigma) for photo in photos])
-        phase = np.mean([phase_evidence(photo, kernel, sigma=sigma) for photo in photos])
-        rows.append((fit, agreed, phase, 1 - kernel[1:-1, 1:-1].sum() / kernel.sum()))
-    return np.array(rows, dtype=np.float64)
+    fit, phase, rim = Judge(photos).evidence(kernels).T
+    return np.column_stack([fit, agreement, phase, rim])
 
 
 # Fitted on simulated motions over training photos (120 photos, 8 or 9 starts each): the weights of FEATURES choose the
@@ -184,20 +264,3 @@ def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
     probabilities = 1 / (1 + np.exp(-(_SLOPE * (features @ _WEIGHTS) + _OFFSET)))
     best = int(np.argmax(probabilities))
     return Ranking(best, probabilities, float(features[best, FEATURES.index("agreement")]))
-
-
-def _wiener(photo: FloatArray, kernel: FloatArray, noise_to_scene: float) -> FloatArray:
-    """Wiener restoration with a 1/f^2 scene; mirrored margins, cropped with 8 px more."""
-    margin = min(32, min(photo.shape) // 4)
-    padded = np.pad(photo, margin, mode="symmetric")
-    centre = kernel.shape[0] // 2
-    frame = np.zeros_like(padded)
-    frame[: kernel.shape[0], : kernel.shape[1]] = kernel
-    transfer = fft.rfft2(np.roll(frame, (-centre, -centre), axis=(0, 1)))
-    radius2 = fft.fftfreq(padded.shape[0])[:, None] ** 2 + fft.rfftfreq(padded.shape[1])[None, :] ** 2
-    restored = fft.irfft2(
-        transfer.conj() * fft.rfft2(padded) / (np.abs(transfer) ** 2 + noise_to_scene * radius2 + 1e-12),
-        s=padded.shape,
-    )
-    inner = slice(margin + 8, -margin - 8)
-    return np.asarray(restored[inner, inner], dtype=np.float64)

@@ -22,6 +22,7 @@ from motdiff.training.checkpoint import read_checkpoint
 from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import LiveSource, PreparedSource
 from motdiff.training.log import read_log
+from motdiff.training.loop import Trainer
 from motdiff.training.motion_bank import MotionMix
 from motdiff.training.prepared import prepare, read_shards
 from motdiff.training.run import Pace, make_sources, train, validation_mnc
@@ -82,7 +83,7 @@ def prepared(tmp_path_factory):
     return folder
 
 
-def from_prepared(folder, *, network=PHYSICS, optimiser=ONCE, validation=4):
+def from_prepared(folder, *, network=PHYSICS, optimiser=ONCE, validation=2):
     data = DataConfig(
         prepared=str(folder / "samples"), prepared_validation=str(folder / "validation"), validation=validation
     )
@@ -118,6 +119,11 @@ batch = {optimiser.batch}
 window = {optimiser.window}
 seed = {optimiser.seed}
 """
+
+
+def alone():
+    """Environment of a process with one thread and no GPU."""
+    return os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
 
 
 # ---- one piece
@@ -191,9 +197,20 @@ def test_a_piece_saves_as_often_as_asked(prepared, tmp_path, monkeypatch):
 def test_a_signal_ends_a_piece_with_a_checkpoint(prepared, tmp_path):
     config = from_prepared(prepared, optimiser=replace(ONCE, steps=1_000_000))
     (tmp_path / "run.toml").write_text(toml(config))
-    command = [sys.executable, "-m", "motdiff", "train", "run.toml", "-o", "run", "--save-every", "0", "--device", "cpu"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
-    with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as process:
+    command = [
+        sys.executable,
+        "-m",
+        "motdiff",
+        "train",
+        "run.toml",
+        "-o",
+        "run",
+        "--save-every",
+        "0",
+        "--device",
+        "cpu",
+    ]
+    with subprocess.Popen(command, cwd=tmp_path, env=alone(), stderr=subprocess.PIPE, text=True) as process:
         try:
             until = time.monotonic() + 120
             while not (tmp_path / "run" / "checkpoint").exists():  # from now on the signals are noted
@@ -278,9 +295,9 @@ def test_physics_maps_must_fit_the_network(prepared, photos):
 
 def test_a_perfect_network_is_validated_as_one(prepared):
     """Drawn from the truth itself, the MNC is 1; a network that has learnt nothing is far from it."""
-    config = from_prepared(prepared)
+    config = from_prepared(prepared, validation=4)
     sources = make_sources(config)
-    trainer = train_nothing(config)
+    trainer = Trainer(config)
     untrained = validation_mnc(trainer, sources.validation)
     (batch,) = sources.validation
 
@@ -296,45 +313,40 @@ def test_a_perfect_network_is_validated_as_one(prepared):
     assert 0 <= untrained < 0.8
 
 
-def train_nothing(config):
-    from motdiff.training.loop import Trainer
-
-    return Trainer(config)
-
-
 # ---- several processes
 
 TOGETHER = """
-import os, sys, torch
+import os, signal, torch
 from pathlib import Path
 from motdiff.training.config import read_config
-from motdiff.training.run import Pace, train
+from motdiff.training.run import Trainer, train
 
 torch.set_num_threads(1)
 rank = int(os.environ["RANK"])
-pace = Pace(minutes=0 if rank == 1 and sys.argv[3] == "first" else 1000)  # one clock is ahead: both must end
-trainer = train(read_config(sys.argv[1]), sys.argv[2], pace=pace)
-torch.save([trainer.step, list(trainer.network.parameters())], Path(sys.argv[2]) / f"rank{rank}.pt")
+update = Trainer.update
+
+def stopped_after_two(trainer, source):
+    losses = update(trainer, source)
+    if (rank, trainer.step) == (1, 2):
+        signal.raise_signal(signal.SIGTERM)
+    return losses
+
+Trainer.update = stopped_after_two
+trainer = train(read_config("run.toml"), "run")
+torch.save([trainer.step, list(trainer.network.parameters())], f"rank{rank}.pt")
 """
 
 
-def test_two_processes_train_one_network(prepared, tmp_path):
-    config = from_prepared(prepared, optimiser=replace(ONCE, steps=2))
-    (tmp_path / "run.toml").write_text(toml(config))
+def test_two_processes_train_one_network_and_end_together(prepared, tmp_path):
+    """Only one is asked to stop; the other would wait for its gradients for ever."""
+    (tmp_path / "run.toml").write_text(toml(from_prepared(prepared, optimiser=replace(ONCE, steps=1000))))
     (tmp_path / "together.py").write_text(TOGETHER)
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
-    run = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--standalone", "together.py"]
-    for piece, step in (("first", 1), ("second", 2)):
-        command = [*run, "run.toml", "run", piece]
-        done = subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=False
-        )
-        assert done.returncode == 0, done.stderr
-        steps, parameters = zip(*(torch.load(tmp_path / "run" / f"rank{rank}.pt") for rank in (0, 1)), strict=True)
-        assert steps == (step, step)
-        assert all(torch.equal(a, b) for a, b in zip(*parameters, strict=True))
-        assert all(parameter.isfinite().all() for parameter in parameters[0])
-        assert done.stderr.count("validation MNC") == 1
-    scores = [row["validation_mnc"] for row in read_log(tmp_path / "run" / "log.csv")]
-    assert len(scores) == 2  # of one process only
-    assert read_checkpoint(tmp_path / "run" / "checkpoint").step == 2
+    command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--standalone", "together.py"]
+    done = subprocess.run(command, cwd=tmp_path, env=alone(), capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    steps, parameters = zip(*(torch.load(tmp_path / f"rank{rank}.pt") for rank in (0, 1)), strict=True)
+    assert steps == (2, 2)
+    assert all(torch.equal(a, b) for a, b in zip(*parameters, strict=True))
+    assert all(parameter.isfinite().all() for parameter in parameters[0])
+    assert done.stderr.count("new run, from step 0") == done.stderr.count("validation MNC") == 1
+    assert_left_behind(tmp_path / "run", step=2)

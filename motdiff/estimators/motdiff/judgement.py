@@ -1,0 +1,51 @@
+"""Which of the drawn, quick and refined kernels to believe, and how much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motdiff.metrics import mnc_matrix
+
+__all__ = ["FEATURES", "features", "probabilities"]
+
+FloatArray = NDArray[np.float64]
+
+FEATURES = ("spectral_fit", "phase_evidence", "rim_light", "sample_agreement", "quick_agreement")
+
+# Fitted on simulated photos of the training set's held-out scenes, see docs/decisions.md
+_WEIGHTS = np.array([0.8, 2.0, -1.0, 0.2, 0.2])
+_SLOPE, _OFFSET = 8.3, -5.15
+
+
+def features(evidence: FloatArray, kernels: Sequence[FloatArray], *, samples: int, quick: int) -> FloatArray:
+    """Features (N, 5) of N candidate kernels.
+
+    Parameters
+    ----------
+    evidence : (N, 3) float
+        From :meth:`motdiff.estimators.pmp.score.Judge.evidence`.
+    kernels : sequence of N (k, k) float
+        First the samples, then the quick kernels, then others.
+    samples, quick : int
+        How many there are of the first two.
+
+    Returns
+    -------
+    (N, 5) float: the evidence, and the mean MNC with the samples and with the quick kernels (without itself).
+    """
+    alike = mnc_matrix(kernels)
+    np.fill_diagonal(alike, 0)
+    count = len(kernels)
+    index = np.arange(count)
+    among_samples = alike[:, :samples].sum(axis=1) / np.maximum(samples - (index < samples), 1)
+    is_quick = (index >= samples) & (index < samples + quick)
+    among_quick = alike[:, samples : samples + quick].sum(axis=1) / np.maximum(quick - is_quick, 1)
+    return np.column_stack([evidence, among_samples, among_quick])
+
+
+def probabilities(rows: FloatArray) -> FloatArray:
+    """Probability (N,) of each candidate to have a sub-pixel MNC of 0.7 or more, from its features (N, 5)."""
+    return np.asarray(1 / (1 + np.exp(-(_SLOPE * (rows @ _WEIGHTS) + _OFFSET))), dtype=np.float64)
