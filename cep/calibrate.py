@@ -62,7 +62,8 @@ def make_estimator(
     """
     needed = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}}
     allowed = {"motdiff": {"samples"}}
-    options = {"samples": samples, "sharp": sharp, "gyro": gyro, "focal_px": focal_px, "start_s": start_s, "exposure_s": exposure_s}
+    options = {"sharp": sharp, "gyro": gyro, "focal_px": focal_px, "start_s": start_s, "exposure_s": exposure_s}
+    options["samples"] = samples
     if method not in METHODS:
         raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {method!r}")
     given = {name for name, value in options.items() if value is not None}

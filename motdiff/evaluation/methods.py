@@ -5,11 +5,58 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from motdiff.estimators.base import Estimator
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["METHODS", "named_estimators"]
+from motdiff.estimators.base import Estimator, MotionEstimate
 
-METHODS = ("pmp", "motdiff")
+__all__ = ["METHODS", "NetworkAlone", "named_estimators"]
+
+METHODS = ("pmp", "motdiff", "network")
+"""Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``."""
+
+
+class NetworkAlone:
+    """One draw of the network as it is: no judgement, no refinement, no fall-back; what the paper measures.
+
+    Parameters
+    ----------
+    weights : path, optional
+        The shipped ones when omitted.
+    sampler : str
+        See :func:`motdiff.diffusion.samples`.
+    steps : int
+    seed : int
+    """
+
+    def __init__(self, weights: Path | None = None, *, sampler: str = "ddim", steps: int = 10, seed: int = 0) -> None:
+        from motdiff.weights import load_network
+
+        self._network = load_network() if weights is None else load_network(weights)
+        self._sampler, self._steps, self._seed = sampler, steps, seed
+
+    def estimate(self, photo: NDArray[np.float64]) -> MotionEstimate:
+        """Draw one motion from ``photo``, (H, W) or (H, W, 3)."""
+        import torch
+
+        from motdiff.crops import luminance
+        from motdiff.estimators.motdiff.drawing import draw_psfs
+        from motdiff.estimators.pmp.score import noise_sigma
+        from motdiff.tracing import trace_psf_to_trajectory
+
+        grey = luminance(photo)
+        generator = torch.Generator().manual_seed(self._seed)
+        drawn = draw_psfs(
+            self._network,
+            grey[None],
+            sigma=noise_sigma(grey),
+            count=1,
+            steps=self._steps,
+            generator=generator,
+            method=self._sampler,
+        )
+        psf = drawn.psfs[0]
+        return MotionEstimate("network", (trace_psf_to_trajectory(psf),), (1.0,), psf, confidence=0.0)
 
 
 def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> dict[str, Estimator]:
@@ -19,7 +66,7 @@ def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> di
     ----------
     methods : sequence of names in :data:`METHODS`
     weights : sequence of files
-        One "motdiff" for each, named by the file's stem; none: the weights of the package, named "motdiff".
+        One estimator for each, named by the file's stem; none: the weights of the package.
 
     Returns
     -------
@@ -32,10 +79,10 @@ def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> di
     FileNotFoundError
         If a file of weights is missing.
     """
-    if unknown := [name for name in methods if name not in METHODS]:
+    if unknown := [name for name in methods if name.split(":")[0] not in METHODS]:
         raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {unknown[0]!r}")
-    if weights and "motdiff" not in methods:
-        raise ValueError("weights: are for the method motdiff, which was not asked for")
+    if weights and set(methods) <= {"pmp"}:
+        raise ValueError("weights: are for the methods motdiff and network, which were not asked for")
     if missing := [path for path in weights if not path.is_file()]:
         raise FileNotFoundError(f"{missing[0]}: no such file of weights")
     named: list[tuple[str, Estimator]] = []
@@ -44,12 +91,24 @@ def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> di
             from motdiff.estimators.pmp import PmpEstimator
 
             named.append(("pmp", PmpEstimator()))
-        else:
-            from motdiff.estimators.motdiff import MotDiffEstimator
-
-            named += [(path.stem, MotDiffEstimator(weights=path)) for path in weights]
-            named += [] if weights else [("motdiff", MotDiffEstimator())]
+            continue
+        for path in weights or (None,):
+            name = method if path is None else path.stem if method == "motdiff" else f"{path.stem} {method}"
+            named.append((name, _of_network(method, path)))
     estimators = dict(named)
     if len(estimators) < len(named):
         raise ValueError(f"weights: need different file names, the tables would show {[name for name, _ in named]}")
     return estimators
+
+
+def _of_network(method: str, weights: Path | None) -> Estimator:
+    if method == "motdiff":
+        from motdiff.estimators.motdiff import MotDiffEstimator
+
+        return MotDiffEstimator(weights=weights)
+    match method.split(":"):
+        case ["network"]:
+            return NetworkAlone(weights)
+        case ["network", sampler, steps] if steps.isdigit():
+            return NetworkAlone(weights, sampler=sampler, steps=int(steps))
+    raise ValueError(f"method: must be network or network:SAMPLER:STEPS, got {method!r}")

@@ -43,7 +43,14 @@ class Drawn:
 
 
 def draw_psfs(
-    network: MotDiffNetwork, crops: FloatArray, *, sigma: float, count: int, steps: int, generator: torch.Generator
+    network: MotDiffNetwork,
+    crops: FloatArray,
+    *,
+    sigma: float,
+    count: int,
+    steps: int,
+    generator: torch.Generator,
+    method: str = "ddim",
 ) -> Drawn:
     """Draw ``count`` PSFs of the blur that the crops share.
 
@@ -59,6 +66,8 @@ def draw_psfs(
     steps : int
         Steps of each draw.
     generator : torch.Generator
+    method : str
+        See :func:`motdiff.diffusion.samples`.
     """
     light = torch.from_numpy(crops.astype(np.float32))[None]
     quick = light.new_zeros(1, 0, 64, 64)
@@ -77,7 +86,9 @@ def draw_psfs(
         ]
         turns = [i % 8 for i in range(count)]
         condition = torch.cat([conditions[s] for s in turns])
-        drawn = sample_paths(network, condition, count=1, schedule=cosine_schedule(), steps=steps, generator=generator)
+        drawn = sample_paths(
+            network, condition, count=1, schedule=cosine_schedule(), steps=steps, generator=generator, method=method
+        )
         turned = psfs_of_maps(drawn.path * drawn.dwell)  # (K, 1, 64, 64)
         psfs = [mirrored(turned[i : i + 1], inverse_symmetry(s), pitch=1)[0, 0] for i, s in enumerate(turns)]
     return Drawn(torch.stack(psfs).double().numpy(), quick[0].double().numpy())
