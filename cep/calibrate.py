@@ -31,6 +31,7 @@ def make_estimator(
     method: str = "motdiff",
     *,
     samples: int | None = None,
+    quick: bool | None = None,
     seed: int = 0,
     sharp: ArrayLike | None = None,
     gyro: GyroTrace | None = None,
@@ -46,6 +47,8 @@ def make_estimator(
     method : {"motdiff", "pmp", "reference", "point", "gyro"}
     samples : int, optional
         For "motdiff": motions drawn.
+    quick : bool, optional
+        For "motdiff": whether the classical searches beside it are shortened.
     seed : int
         Of what is drawn at random.
     sharp : (H, W) or (H, W, 3) array_like, linear light 0..1
@@ -61,9 +64,15 @@ def make_estimator(
         If the method is not known, or something it needs is missing or something it has no use for is given.
     """
     needed = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}}
-    allowed = {"motdiff": {"samples"}}
-    options = {"sharp": sharp, "gyro": gyro, "focal_px": focal_px, "start_s": start_s, "exposure_s": exposure_s}
-    options["samples"] = samples
+    allowed = {"motdiff": {"samples", "quick"}}
+    options: dict[str, object] = {
+        "sharp": sharp,
+        "gyro": gyro,
+        "focal_px": focal_px,
+        "start_s": start_s,
+        "exposure_s": exposure_s,
+    }
+    options |= {"samples": samples, "quick": quick}
     if method not in METHODS:
         raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {method!r}")
     given = {name for name, value in options.items() if value is not None}
@@ -96,7 +105,7 @@ def make_estimator(
         return PmpEstimator(progress=progress)
     from motdiff.estimators.motdiff import MotDiffEstimator
 
-    return MotDiffEstimator(samples=8 if samples is None else samples, seed=seed, progress=progress)
+    return MotDiffEstimator(samples=8 if samples is None else samples, thorough=not quick, seed=seed, progress=progress)
 
 
 def calibrate(photo: ArrayLike, estimator: Estimator | None = None) -> MotionEstimate:

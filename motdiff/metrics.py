@@ -58,7 +58,7 @@ def mnc_subpixel(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
 
 
 def mnc_matrix(psfs: Sequence[ArrayLike]) -> FloatArray:
-    """MNC of every pair of PSFs at shifts of whole and half pixels: quicker than :func:`mnc_subpixel`, up to 0.02 less.
+    """MNC of every pair of PSFs over whole and half pixels: quicker than :func:`mnc_subpixel`, and within 0.03 of it.
 
     Parameters
     ----------
@@ -79,11 +79,14 @@ def mnc_matrix(psfs: Sequence[ArrayLike]) -> FloatArray:
     frame = fft.next_fast_len(2 * max(max(image.shape) for image in images), real=True) // 2 * 2
     spectra = [fft.rfft2(image / np.linalg.norm(image), (frame, frame)) for image in images]
     alike = np.eye(len(images))
-    fine = np.zeros((2 * frame, frame // 2 + 1), dtype=np.complex128)  # twice the samples: half pixels
+    half = frame // 2
+    fine = np.zeros((2 * frame, half + 1), dtype=np.complex128)  # twice the samples: half pixels
     for i, one in enumerate(spectra):
         for j in range(i):
             product = one * spectra[j].conj()
-            fine[: frame // 2], fine[-frame // 2 :] = product[: frame // 2], product[frame // 2 :]
+            product[half] /= 2  # the Nyquist frequency is shared by both signs
+            product[:, half] /= 2
+            fine[: half + 1], fine[-half:] = product[: half + 1], product[half:]
             alike[i, j] = alike[j, i] = 4 * float(fft.irfft2(fine, (2 * frame, 2 * frame)).max())
     return np.clip(alike, 0, 1)
 

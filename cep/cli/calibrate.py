@@ -35,6 +35,7 @@ def calibrate(
     samples: Annotated[
         int | None, typer.Option("--samples", min=1, help="motdiff: motions to draw; 8 when omitted.")
     ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="motdiff: about three times faster, less exact.")] = False,
     gamma: Gamma = "srgb",
     force: Force = False,
     seed: Seed = 0,
@@ -63,6 +64,7 @@ def calibrate(
             estimator = make_estimator(
                 method,
                 samples=samples,
+                quick=quick or None,
                 seed=seed,
                 sharp=sharp_photo,
                 gyro=recording,

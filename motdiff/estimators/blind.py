@@ -21,7 +21,7 @@ __all__ = ["Found", "KernelSearch", "estimate_blind"]
 FloatArray = NDArray[np.float64]
 
 _CROP_PX = 256
-_SMALLEST_PX = 48
+_LEAST_HALVED_PX = 192
 _FRAME_PX = 64
 _LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halved and tried again
 _LEVELS = 3
@@ -68,6 +68,8 @@ class KernelSearch(Protocol):
 
     largest_px: int
     """Side of the largest frame that it searches, px."""
+    smallest_px: int
+    """Least side of a photo that it can search, px."""
 
     def search(self, crops: FloatArray) -> Found:
         """Search the kernel that the crops (C, H, W), grey, linear light, share."""
@@ -99,17 +101,16 @@ def estimate_blind(photo: ArrayLike, search: KernelSearch, *, method: str, most_
     Raises
     ------
     ValueError
-        If the photo is smaller than 48 px, not finite, or constant.
+        If the photo is smaller than ``search.smallest_px``, not finite, or without texture.
 
     References
     ----------
     Hu and Yang, "Good regions to deblur", ECCV 2012 (crops).
     """
     grey = luminance(photo)
-    if min(grey.shape) < _SMALLEST_PX:
-        raise ValueError(
-            f"photo: needs at least {_SMALLEST_PX} x {_SMALLEST_PX} px, got {grey.shape[1]} x {grey.shape[0]}"
-        )
+    least = search.smallest_px
+    if min(grey.shape) < least:
+        raise ValueError(f"photo: needs at least {least} x {least} px, got {grey.shape[1]} x {grey.shape[0]}")
     if np.ptp(grey) == 0:
         raise ValueError("photo: is constant; motion shows only where the scene has texture")
     level = _level(grey, 1, search, most_crops)
@@ -139,7 +140,11 @@ def _level(grey: FloatArray, factor: int, search: KernelSearch, most_crops: int)
     size = min(_CROP_PX, *grey.shape)
     whole = max(grey.shape) <= 1.25 * _CROP_PX
     corners = [(0, 0)] if whole else pick_crops(grey, size=size, count=most_crops)
-    crops = np.stack([grey if whole else grey[r : r + size, c : c + size] for r, c in corners])
+    windows = [grey if whole else grey[r : r + size, c : c + size] for r, c in corners]
+    textured = [window for window in windows if np.ptp(window) > 0]  # a burnt-out sky says nothing, not even noise
+    if not textured:
+        raise ValueError("photo: has edges of one direction at most; motion shows only where the scene has texture")
+    crops = np.stack(textured)
     return _Level(factor, crops, search.search(crops))
 
 
@@ -149,7 +154,7 @@ def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:
     y, x = np.nonzero(level.found.kernels[level.found.best])
     outgrown = max(np.ptp(y), np.ptp(x)) + 1 > _LARGEST_EXTENT * largest_px
     lost = level.found.confidence < _LOST and side_px >= 2 * _CROP_PX
-    return bool((outgrown and side_px >= 4 * _SMALLEST_PX) or lost)
+    return bool((outgrown and side_px >= _LEAST_HALVED_PX) or lost)
 
 
 def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate:

@@ -12,7 +12,7 @@ from motdiff.estimators.base import Estimator, MotionEstimate
 
 __all__ = ["METHODS", "NetworkAlone", "named_estimators"]
 
-METHODS = ("pmp", "motdiff", "network")
+METHODS = ("pmp", "motdiff", "motdiff-quick", "network")
 """Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``."""
 
 
@@ -40,22 +40,21 @@ class NetworkAlone:
         import torch
 
         from motdiff.crops import luminance
-        from motdiff.estimators.motdiff.drawing import draw_psfs
+        from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
         from motdiff.estimators.pmp.score import noise_sigma
         from motdiff.tracing import trace_psf_to_trajectory
 
         grey = luminance(photo)
         generator = torch.Generator().manual_seed(self._seed)
-        drawn = draw_psfs(
+        (psf,) = draw_psfs(
             self._network,
             grey[None],
-            sigma=noise_sigma(grey),
+            searched_quickly(grey[None], sigma=noise_sigma(grey)),
             count=1,
             steps=self._steps,
             generator=generator,
             method=self._sampler,
         )
-        psf = drawn.psfs[0]
         return MotionEstimate("network", (trace_psf_to_trajectory(psf),), (1.0,), psf, confidence=0.0)
 
 
@@ -102,10 +101,10 @@ def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> di
 
 
 def _of_network(method: str, weights: Path | None) -> Estimator:
-    if method == "motdiff":
+    if method in ("motdiff", "motdiff-quick"):
         from motdiff.estimators.motdiff import MotDiffEstimator
 
-        return MotDiffEstimator(weights=weights)
+        return MotDiffEstimator(weights=weights, thorough=method == "motdiff")
     match method.split(":"):
         case ["network"]:
             return NetworkAlone(weights)

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from torch.nn import functional
@@ -25,6 +26,7 @@ def random_case(batch=3, side=12, *, dtype=torch.float64, seed=0):
 
 LOSSES = {
     "structure": lambda logits, x0, dwell: structure_loss(logits, x0, path_weight=4),
+    "entropy": lambda logits, x0, dwell: structure_loss(logits, x0, path_weight=0, iou=0),
     "denoising": lambda logits, x0, dwell: denoising_loss(logits, x0),
     "dwell": lambda logits, x0, dwell: dwell_loss(logits, dwell, x0),
 }
@@ -76,11 +78,44 @@ def test_batch_loss_is_the_mean_of_its_samples_losses():
     torch.testing.assert_close(structure_loss(logits, x0, path_weight=4), torch.stack(alone).mean())
 
 
-@pytest.mark.parametrize("path_weight", [-1, math.nan])
-def test_structure_loss_refuses_a_negative_weight(path_weight):
+def test_without_weights_it_is_the_plain_cross_entropy():
     logits, x0, _ = random_case()
-    with pytest.raises(ValueError, match=f"^path_weight must be at least 0, got {path_weight}$"):
-        structure_loss(logits, x0, path_weight=path_weight)
+    plain = functional.binary_cross_entropy_with_logits(logits, x0)
+    torch.testing.assert_close(structure_loss(logits, x0, path_weight=0, iou=0), plain)
+    assert float(structure_loss(logits, x0, path_weight=0)) > float(plain) + 0.1
+
+
+def test_the_weight_of_the_intersection_over_union():
+    """0.4558441 + iou (1 - 11 / 18.25), the case worked out above; 1 unless given."""
+    for iou in (0, 0.25, 3):
+        expected = 0.4558441 + iou * (1 - 11 / 18.25)
+        assert structure_loss(HAND_LOGITS, HAND_MAP, path_weight=4, iou=iou).item() == pytest.approx(expected, abs=1e-7)
+    assert torch.equal(
+        structure_loss(HAND_LOGITS, HAND_MAP, path_weight=4, iou=1),
+        structure_loss(HAND_LOGITS, HAND_MAP, path_weight=4),
+    )
+
+
+@pytest.mark.parametrize(("path_weight", "best"), [(0, 0.3), (5, 1.8 / (1.8 + 0.7))])
+def test_only_without_weights_the_best_guess_is_the_posterior_mean(path_weight, best):
+    """Of ten photos alike, three have their path at the first pixel and seven at the second."""
+    here = torch.arange(10) < 3
+    maps = torch.zeros(10, 1, 1, 4, dtype=torch.float64)
+    maps[here, 0, 0, 0], maps[~here, 0, 0, 1] = 1, 1
+    guesses = torch.linspace(0.01, 0.99, 99, dtype=torch.float64)
+    costs = []
+    for guess in guesses:
+        logits = torch.logit(torch.tensor([float(guess), 0.7, 1e-9, 1e-9], dtype=torch.float64)).expand(10, 1, 1, 4)
+        costs.append(float(structure_loss(logits, maps, path_weight=path_weight, iou=0)))
+    assert float(guesses[int(np.argmin(costs))]) == pytest.approx(best, abs=0.01)
+
+
+@pytest.mark.parametrize("name", ["path_weight", "iou"])
+@pytest.mark.parametrize("value", [-1, math.nan])
+def test_structure_loss_refuses_a_negative_weight(name, value):
+    logits, x0, _ = random_case()
+    with pytest.raises(ValueError, match=f"^{name} must be at least 0, got {value}$"):
+        structure_loss(logits, x0, **{"path_weight": 5, name: value})
 
 
 # ---- denoising and dwell

@@ -6,7 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from motdiff.metrics import mnc, mnc_subpixel, path_distance_px, psnr_up_to_shift, register_shift, ssim_up_to_shift
+from motdiff.metrics import (
+    mnc,
+    mnc_matrix,
+    mnc_subpixel,
+    path_distance_px,
+    psnr_up_to_shift,
+    register_shift,
+    ssim_up_to_shift,
+)
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -76,6 +84,71 @@ def test_mnc_refuses_what_is_no_psf(bad: np.ndarray) -> None:
         mnc(np.ones((3, 3)), bad)
     with pytest.raises(ValueError, match="psf_a"):
         mnc_subpixel(bad, np.ones((3, 3)))
+
+
+# ---- MNC of every pair
+
+
+def motions(seed: int, count: int = 4) -> list[np.ndarray]:
+    """PSFs of shaken hands, in frames of different sizes."""
+    rng = np.random.default_rng(seed)
+    paths = [boracchi_foi(rng, max_length_px=float(rng.uniform(5, 40))) for _ in range(count)]
+    return [path.psf(max(int(rng.integers(30, 66)), path.frame_size())) for path in paths]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_mnc_matrix_is_the_subpixel_mnc_of_every_pair(seed: int) -> None:
+    psfs = motions(seed)
+    found = mnc_matrix(psfs)
+    expected = np.array([[mnc_subpixel(a, b) for b in psfs] for a in psfs])
+    assert found.shape == (4, 4)
+    np.testing.assert_array_equal(found, found.T)
+    np.testing.assert_array_equal(np.diag(found), 1)
+    # up to a quarter of a pixel off the best shift either way: 99 of 100 pairs are within 0.02
+    np.testing.assert_allclose(found, expected, atol=0.03)
+    assert np.median(np.abs(found - expected)) < 0.01
+    assert found.max() <= 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_mnc_matrix_is_the_best_of_four_half_pixel_shifts(seed: int) -> None:
+    a, b = motions(seed, 2)
+    spectrum = np.fft.fft2(np.pad(a, 64))
+    halves = [np.fft.ifft2(ndimage.fourier_shift(spectrum, (dy, dx))).real for dy in (0, 0.5) for dx in (0, 0.5)]
+    expected = max(np.linalg.norm(half) / np.linalg.norm(a) * mnc(half, b) for half in halves)
+    assert mnc_matrix([a, b])[0, 1] == pytest.approx(expected, abs=3e-3)
+
+
+def test_mnc_matrix_ignores_scale_frame_and_place() -> None:
+    a, b = kernel(1), kernel(2)
+    found = mnc_matrix([a, b, 7 * np.pad(a, ((3, 11), (6, 0))), np.roll(np.pad(b, 9), (4, -7), axis=(0, 1))])
+    assert found[0, 2] == pytest.approx(1, abs=1e-9)
+    assert found[1, 3] == pytest.approx(1, abs=1e-9)
+    np.testing.assert_allclose(found[2:, :2], found[:2, :2], atol=3e-3)  # the sinc's tails wrap at other frames
+
+
+def test_mnc_matrix_of_points_by_hand() -> None:
+    point, across, down = np.zeros((3, 13, 13))
+    point[6, 6] = 2
+    across[6, 4], across[6, 9] = 1, 1
+    down[2, 6], down[10, 6] = 1, 1
+    expected = [[1, np.sqrt(1 / 2), np.sqrt(1 / 2)], [np.sqrt(1 / 2), 1, 1 / 2], [np.sqrt(1 / 2), 1 / 2, 1]]
+    np.testing.assert_allclose(mnc_matrix([point, across, down]), expected, atol=1e-9)
+
+
+def test_mnc_matrix_of_one_is_one() -> None:
+    np.testing.assert_array_equal(mnc_matrix([kernel(0)]), [[1]])
+
+
+@pytest.mark.parametrize("bad", [np.zeros((3, 3)), np.ones(3), np.full((3, 3), np.nan)])
+def test_mnc_matrix_names_what_is_no_psf(bad: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"^psfs\[1\]: must be a finite \(H, W\) array with some light"):
+        mnc_matrix([np.ones((3, 3)), bad])
+
+
+def test_mnc_matrix_of_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"^psfs: needs at least one$"):
+        mnc_matrix([])
 
 
 @given(seed=seeds)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -18,7 +17,7 @@ from motdiff.network import MotDiffNetwork
 from motdiff.parallel import side_by_side
 from motdiff.sampling import psfs_of_maps, sample_paths
 
-__all__ = ["Drawn", "draw_psfs", "searched_quickly"]
+__all__ = ["draw_psfs", "searched_quickly"]
 
 FloatArray = NDArray[np.float64]
 
@@ -26,41 +25,25 @@ _PHOTO_PX = 256
 _DISPLAY_GAMMA = 2.2  # as in training
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """What the network drew for one photo.
-
-    Attributes
-    ----------
-    psfs : (K, 64, 64) float64
-        One per sample, sum 1.
-    quick : (Q, 64, 64) float64
-        The quick classical kernels it was told of; Q = 0 for a network without physics maps.
-    """
-
-    psfs: FloatArray
-    quick: FloatArray
-
-
 def draw_psfs(
     network: MotDiffNetwork,
     crops: FloatArray,
+    told: FloatArray,
     *,
-    sigma: float,
     count: int,
     steps: int,
     generator: torch.Generator,
     method: str = "ddim",
-) -> Drawn:
-    """Draw ``count`` PSFs of the blur that the crops share.
+) -> FloatArray:
+    """Draw ``count`` PSFs (count, 64, 64), sum 1, of the blur that the crops share.
 
     Parameters
     ----------
     network : MotDiffNetwork
         In eval mode, on the CPU.
     crops : (C, H, W) float, grey, linear light
-    sigma : float
-        Standard deviation of their noise.
+    told : (Q, 64, 64) float
+        Classical kernels for the physics maps; not looked at by a network without them.
     count : int
         Number of draws, spread over the eight symmetries of the square: a network's errors differ between them.
     steps : int
@@ -70,12 +53,10 @@ def draw_psfs(
         See :func:`motdiff.diffusion.samples`.
     """
     light = torch.from_numpy(crops.astype(np.float32))[None]
-    quick = light.new_zeros(1, 0, 64, 64)
     physics: Tensor | None = None
     with torch.no_grad():
         if network.physics is not None:
-            quick = searched_quickly(light, sigma=sigma)
-            physics = physics_maps(light, quick)
+            physics = physics_maps(light, torch.from_numpy(told.astype(np.float32))[None])
         photo = None if network.photo is None else _photo(light)
         conditions = [
             network.condition(
@@ -91,13 +72,14 @@ def draw_psfs(
         )
         turned = psfs_of_maps(drawn.path * drawn.dwell)  # (K, 1, 64, 64)
         psfs = [mirrored(turned[i : i + 1], inverse_symmetry(s), pitch=1)[0, 0] for i, s in enumerate(turns)]
-    return Drawn(torch.stack(psfs).double().numpy(), quick[0].double().numpy())
+    return np.asarray(torch.stack(psfs).double().numpy(), dtype=np.float64)
 
 
-def searched_quickly(crops: Tensor, *, sigma: float) -> Tensor:
-    """Run the quick searches of (1, C, H, W) side by side, to kernels (1, Q, 64, 64)."""
-    jobs = [partial(quick_kernels, crops, sigma=sigma, starts=(start,)) for start in QUICK_STARTS]
-    return torch.cat(side_by_side(jobs), dim=1)
+def searched_quickly(crops: FloatArray, *, sigma: float) -> FloatArray:
+    """Run the quick searches on crops (C, H, W) side by side, to kernels (Q, 64, 64), sum 1."""
+    light = torch.from_numpy(crops.astype(np.float32))[None]
+    jobs = [partial(quick_kernels, light, sigma=sigma, starts=(start,)) for start in QUICK_STARTS]
+    return np.asarray(torch.cat(side_by_side(jobs), dim=1)[0].double().numpy(), dtype=np.float64)
 
 
 def _photo(crops: Tensor) -> Tensor:

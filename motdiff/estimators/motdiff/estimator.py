@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,12 +10,14 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from motdiff.conditions import GRID_PX, QUICK_STARTS, quick_kernels
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.blind import Found, estimate_blind
-from motdiff.estimators.motdiff.drawing import Drawn, draw_psfs, searched_quickly
+from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
 from motdiff.estimators.motdiff.judgement import features, probabilities
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.blind import refine_kernel
+from motdiff.estimators.pmp.estimator import STARTS
 from motdiff.estimators.pmp.score import Judge, noise_sigma
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.parallel import side_by_side
@@ -26,17 +27,20 @@ __all__ = ["MotDiffEstimator"]
 
 FloatArray = NDArray[np.float64]
 
-_REFINED = 3
+_REFINED = 4
 _ROUNDS = 3
 _SAME_MNC = 0.9
-_UNSURE = 0.5
+_DUST = 0.02  # of the peak: a network's doubt off the path, never quite 0, is no light
+# of the full search's starts, those that stand for the quick ones the network was trained with
+_TOLD = tuple(sorted((i for i, s in enumerate(STARTS) if s.quarter_turns == 0), key=lambda i: STARTS[i].size))
 
 
 class MotDiffEstimator:
     """Blind estimator with the conditional diffusion model MoTDiff.
 
-    The network draws several motions; the photo judges them together with the quick classical kernels (see
-    :mod:`motdiff.estimators.pmp.score`), and the most likely ones are refined on the photo at full resolution.
+    Classical searches give kernels; the network, told of three of them, draws several motions; the photo judges all
+    (see :mod:`motdiff.estimators.pmp.score`), and the most likely ones are refined on it at full resolution. So a
+    classical kernel is the result wherever the photo believes it more.
 
     Parameters
     ----------
@@ -46,15 +50,15 @@ class MotDiffEstimator:
         Motions drawn.
     steps : int
         Denoising steps of each.
+    thorough : bool
+        Whether the classical searches are the full ones of :class:`motdiff.estimators.pmp.PmpEstimator`, or shortened
+        ones, in a third of the time.
     refine : bool
-        Whether the kernels are refined on the photo; off gives what the network says.
+        Whether kernels are refined on the photo.
     seed : int
         Of the draws.
     crops : int
         Most crops used of a photo larger than one crop.
-    fall_back : bool
-        Whether the classical search (:class:`motdiff.estimators.pmp.PmpEstimator`) is run where the photo believes none
-        of the kernels, and taken where it believes that one more.
     progress : callable, optional
         Called with the finished share 0..1.
 
@@ -65,6 +69,7 @@ class MotDiffEstimator:
     """
 
     largest_px = 63
+    smallest_px = 64  # of the lag maps
 
     def __init__(
         self,
@@ -72,10 +77,10 @@ class MotDiffEstimator:
         weights: Path | str | None = None,
         samples: int = 8,
         steps: int = 10,
+        thorough: bool = True,
         refine: bool = True,
         seed: int = 0,
         crops: int = 3,
-        fall_back: bool = True,
         progress: Callable[[float], None] | None = None,
     ) -> None:
         for name, value in (("samples", samples), ("steps", steps), ("crops", crops)):
@@ -83,7 +88,7 @@ class MotDiffEstimator:
                 raise ValueError(f"{name}: must be at least 1, got {value}")
         self._network = load_network() if weights is None else load_network(weights)
         self._samples, self._steps, self._refine = samples, steps, refine
-        self._seed, self._crops, self._fall_back = seed, crops, fall_back
+        self._thorough, self._seed, self._crops = thorough, seed, crops
         self._progress = progress or (lambda _share: None)
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
@@ -95,72 +100,64 @@ class MotDiffEstimator:
     def search(self, crops: FloatArray) -> Found:
         """Draw, judge and refine kernels of the crops (C, H, W)."""
         judge = Judge(crops)
+        classical, told = self._classical(crops, judge.sigma)
         drawn = draw_psfs(
             self._network,
             crops,
-            sigma=judge.sigma,
+            told,
             count=self._samples,
             steps=self._steps,
             generator=torch.Generator().manual_seed(self._seed),
         )
-        self._progress(0.5)
-        kernels = _candidates(drawn)
+        self._progress(0.7)
+        kernels = _in_odd_frames(np.concatenate([drawn, classical, drawn.mean(axis=0, keepdims=True)]))
+        mean = len(kernels) - 1
+        groups = {"samples": len(drawn), "classical": len(classical)}
         evidence = judge.evidence(kernels)
-        groups = {"samples": len(drawn.psfs), "quick": len(drawn.quick)}
         believed = probabilities(features(evidence, kernels, **groups))
+        best = int(np.argmax(believed))
         if self._refine:
-            chosen = _distinct(kernels, np.argsort(-believed), most=_REFINED)
+            likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
+            chosen = _distinct(kernels, [mean, likeliest, *np.argsort(-believed)], most=_REFINED)
             refined = side_by_side([partial(_refined, crops, kernels[i], judge.sigma) for i in chosen])
             kernels += refined
             evidence = np.vstack([evidence, judge.evidence(refined)])
             believed = probabilities(features(evidence, kernels, **groups))
-        best = int(np.argmax(believed))
+            best = mean + 1 + int(np.argmax(believed[mean + 1 :]))  # refined ones are better than what they come from
+        origin = best if best <= mean else chosen[best - mean - 1]
         details: dict[str, object] = {
             **groups,
             "steps": self._steps,
-            "sample_agreement": _agreement(drawn.psfs),
-            "chosen": _origin(best, **groups),
+            "sample_agreement": _agreement(drawn),
+            "chosen": "sample" if origin < len(drawn) else "mean of samples" if origin == mean else "classical",
         }
-        found = Found(tuple(kernels), believed, best, details)
-        return self._fallen_back(crops, found) if self._fall_back and found.confidence < _UNSURE else found
-
-    def _fallen_back(self, crops: FloatArray, found: Found) -> Found:
-        """Take the classical search's result where the photo believes it more."""
-        self._progress(0.6)
-        classical = PmpEstimator().search(crops)
-        if classical.confidence <= found.confidence:
-            return found
-        details = {**found.details, "fell_back_to": "pmp"}
-        warning = "the network's motions do not explain the photo well: this one is the classical search's (pmp)"
-        return replace(classical, details=details, warnings=(warning,))
+        return Found(tuple(kernels), believed, best, details)
 
     def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:  # noqa: ARG002, the protocol's
         """Run one quick search on each crop alone."""
-        singles = []
-        for crop in crops:
-            light = torch.from_numpy(crop.astype(np.float32))[None, None]
-            quick = searched_quickly(light, sigma=noise_sigma(crop))
-            singles.append(quick[0, 0].double().numpy())
-        return singles
+        return side_by_side([partial(_searched_alone, crop) for crop in crops])
+
+    def _classical(self, crops: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
+        """Search classical kernels (Q, 64, 64), and those of them that the network is told of (3, 64, 64)."""
+        if not self._thorough:
+            quick = searched_quickly(crops, sigma=sigma)
+            return quick, quick
+        found = PmpEstimator(progress=lambda share: self._progress(0.7 * share)).kernels(crops)
+        framed = np.zeros((len(found), GRID_PX, GRID_PX))
+        for frame, kernel in zip(framed, found, strict=True):
+            low = GRID_PX // 2 - len(kernel) // 2
+            frame[low : low + len(kernel), low : low + len(kernel)] = kernel
+        return framed, framed[list(_TOLD)]
 
 
-def _candidates(drawn: Drawn) -> list[FloatArray]:
-    """Gather the samples, the quick kernels, and the samples' mean, in odd frames of 63 px."""
-    together = np.concatenate([drawn.psfs, drawn.quick, drawn.psfs.mean(axis=0, keepdims=True)])
-    odd = together[:, 1:, 1:]
+def _in_odd_frames(psfs: FloatArray) -> list[FloatArray]:
+    """Cut PSFs (N, 64, 64) to odd frames of 63 px, exactly 0 off the path, sum 1."""
+    odd = psfs[:, 1:, 1:]
+    odd = np.where(odd < _DUST * odd.max(axis=(1, 2), keepdims=True), 0.0, odd)
     return list(odd / odd.sum(axis=(1, 2), keepdims=True))
 
 
-def _origin(index: int, *, samples: int, quick: int) -> str:
-    """Tell where a candidate comes from, by its place."""
-    if index < samples:
-        return "sample"
-    if index < samples + quick:
-        return "quick"
-    return "mean" if index == samples + quick else "refined"
-
-
-def _distinct(kernels: list[FloatArray], order: NDArray[np.intp], *, most: int) -> list[int]:
+def _distinct(kernels: list[FloatArray], order: list[int], *, most: int) -> list[int]:
     """First kernels of ``order`` that are not alike."""
     alike = mnc_matrix(kernels)
     chosen: list[int] = []
@@ -170,6 +167,12 @@ def _distinct(kernels: list[FloatArray], order: NDArray[np.intp], *, most: int) 
             if len(chosen) == most:
                 break
     return chosen
+
+
+def _searched_alone(crop: FloatArray) -> FloatArray:
+    light = torch.from_numpy(crop.astype(np.float32))[None, None]
+    kernel = quick_kernels(light, sigma=noise_sigma(crop), starts=QUICK_STARTS[:1])
+    return np.asarray(kernel[0, 0].double().numpy(), dtype=np.float64)
 
 
 def _refined(crops: FloatArray, kernel: FloatArray, sigma: float) -> FloatArray:

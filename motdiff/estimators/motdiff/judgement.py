@@ -1,4 +1,4 @@
-"""Which of the drawn, quick and refined kernels to believe, and how much."""
+"""Which of the drawn, classical and refined kernels to believe, and how much."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["FEATURES", "features", "probabilities"]
 
 FloatArray = NDArray[np.float64]
 
-FEATURES = ("spectral_fit", "phase_evidence", "rim_light", "sample_agreement", "quick_agreement")
+FEATURES = ("spectral_fit", "phase_evidence", "rim_light", "sample_agreement", "classical_agreement")
 
 # Fitted on simulated photos of the training set's held-out scenes, see docs/decisions.md
 _WEIGHTS = np.array([0.8, 2.0, -1.0, 0.2, 0.2])
 _SLOPE, _OFFSET = 8.3, -5.15
 
 
-def features(evidence: FloatArray, kernels: Sequence[FloatArray], *, samples: int, quick: int) -> FloatArray:
+def features(evidence: FloatArray, kernels: Sequence[FloatArray], *, samples: int, classical: int) -> FloatArray:
     """Features (N, 5) of N candidate kernels.
 
     Parameters
@@ -28,22 +28,22 @@ def features(evidence: FloatArray, kernels: Sequence[FloatArray], *, samples: in
     evidence : (N, 3) float
         From :meth:`motdiff.estimators.pmp.score.Judge.evidence`.
     kernels : sequence of N (k, k) float
-        First the samples, then the quick kernels, then others.
-    samples, quick : int
+        First the samples, then the classical kernels, then others.
+    samples, classical : int
         How many there are of the first two.
 
     Returns
     -------
-    (N, 5) float: the evidence, and the mean MNC with the samples and with the quick kernels (without itself).
+    (N, 5) float: the evidence, and the mean MNC with the samples and with the classical kernels (without itself).
     """
     alike = mnc_matrix(kernels)
     np.fill_diagonal(alike, 0)
     count = len(kernels)
     index = np.arange(count)
     among_samples = alike[:, :samples].sum(axis=1) / np.maximum(samples - (index < samples), 1)
-    is_quick = (index >= samples) & (index < samples + quick)
-    among_quick = alike[:, samples : samples + quick].sum(axis=1) / np.maximum(quick - is_quick, 1)
-    return np.column_stack([evidence, among_samples, among_quick])
+    is_classical = (index >= samples) & (index < samples + classical)
+    among_classical = alike[:, samples : samples + classical].sum(axis=1) / np.maximum(classical - is_classical, 1)
+    return np.column_stack([evidence, among_samples, among_classical])
 
 
 def probabilities(rows: FloatArray) -> FloatArray:

@@ -77,6 +77,8 @@ class PmpEstimator:
     Wen et al., IEEE TCSVT 2021 (the prior).
     """
 
+    smallest_px = 48
+
     def __init__(
         self,
         *,
@@ -101,11 +103,15 @@ class PmpEstimator:
 
     def search(self, crops: FloatArray) -> Found:
         """Run every start on the crops (C, H, W) and refine the best."""
-        kernels = side_by_side([partial(self._run, crops, start) for start in self._starts], tell=self._tell)
+        kernels = self.kernels(crops)
         ranking = rank_kernels(crops, kernels)
         kernels[ranking.best] = self._refined(crops, kernels[ranking.best])
         details: dict[str, object] = {"starts": len(kernels), "agreement": ranking.agreement}
         return Found(tuple(kernels), ranking.probabilities, ranking.best, details)
+
+    def kernels(self, crops: FloatArray) -> list[FloatArray]:
+        """Kernel of every start on the crops (C, H, W), unrefined, each (size, size), sum 1."""
+        return side_by_side([partial(self._run, crops, start) for start in self._starts], tell=self._tell)
 
     def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:
         """Run the winning start on each crop alone."""

@@ -376,3 +376,40 @@ def test_timesteps_are_uniform(batch):
     assert t.max() <= 999
     assert t.mean() == pytest.approx(499.5, abs=4.5 * 1000 / (12 * 400) ** 0.5)
     assert (t < 250).double().mean() == pytest.approx(0.25, abs=4.5 * (0.1875 / 400) ** 0.5)
+
+
+# ---- learning
+
+
+def test_a_small_network_learns_eight_photos():
+    """What it is shown are correlations of the blurred photos alone; what it then draws from noise are their paths."""
+    draw = torch.Generator().manual_seed(0)
+    blocks = torch.randint(0, 256, (8, 3, 64, 64), generator=draw).to(torch.uint8)
+    scenes = list(blocks.repeat_interleave(5, 2).repeat_interleave(5, 3))
+    mix = MotionMix(boracchi_foi=0, straight=0.5, quadratic=0.5, min_length_px=10, max_length_px=20)
+    bank = build_bank(mix, count=8, seed=3)
+    eight = simulate(bank, scenes, torch.arange(8), photography=Photography(), physics=False, seed=1)
+    physics = spectral_maps(eight.photos.mean(dim=1, keepdim=True))
+
+    class Eight:
+        def batch(self, step, size, *, rank=0):
+            return Batch(None, physics, eight.x0, eight.dwell)
+
+    trainer = Trainer(
+        config(
+            network=replace(
+                TINY, physics_width=16, denoiser_width=32, decoder_widths=(32, 16), time_width=128, dropout=0.0
+            ),
+            optimiser=OptimiserConfig(
+                steps=240, batch=8, rate=1.2e-2, last_rate=1e-5, warm_up=20, ema=0.98, window=32, seed=0
+            ),
+            path_weight=1.0,
+        )
+    )
+    train(trainer, 240, Eight())
+    with torch.no_grad():
+        condition = trainer.average.condition(None, physics)
+    drawn = sample_paths(trainer.average, condition, count=1, schedule=trainer.schedule, steps=10, generator=draw)
+    found, truth = drawn.path > 0.5, eight.x0 > 0.5
+    iou = (found & truth).sum(dim=(1, 2, 3)) / (found | truth).sum(dim=(1, 2, 3))
+    assert iou.mean() > 0.9

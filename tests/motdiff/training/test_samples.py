@@ -1,4 +1,4 @@
-"""Samples: the symmetries of photo, PSF and HR map agree, and a motion is laid on its kernel."""
+"""Samples: a photo of a motion, and the motion laid on the kernel found in it."""
 
 from functools import partial
 
@@ -8,16 +8,13 @@ import torch
 from torch.nn import functional
 
 from motdiff.conditions import QuickStart, quick_kernels
-from motdiff.simulate import blur_symmetric
 from motdiff.training import samples as samples_module
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.training.photos import crops
-from motdiff.grids import mirrored
 from motdiff.training.samples import PHOTO_PX, Samples, registration, shifted, simulate
 from motdiff.training.simulation import Photography, blurred
 from motdiff.trajectory import Trajectory
 
-SYMMETRIES = range(8)
 PLAIN = Photography(most_noise=0.0, gammas=(1.0, 1.0), wrong_gamma=0.0, gains=(1.0, 1.0), jpeg=0.0)
 
 
@@ -44,59 +41,6 @@ def scenes():
     generator = torch.Generator().manual_seed(0)
     photos = [torch.randint(0, 256, (3, rows, columns), generator=generator) for rows, columns in ((34, 40), (42, 33))]
     return [photo.repeat_interleave(10, 1).repeat_interleave(10, 2).to(torch.uint8) for photo in photos]
-
-
-def bent_path():
-    """No symmetry of its own, off centre, and no point halfway between two pixels of the map."""
-    t = np.linspace(0, 1, 50)
-    return Trajectory.from_samples(np.c_[17.3 * t, 8.1 * np.sin(2.7 * t) + 3.3 * t], t=t**1.4)
-
-
-def turned(motion, symmetry):
-    """The path of the mirrored photo."""
-    xy = motion.xy * [-1 if symmetry & 2 else 1, -1 if symmetry & 1 else 1]
-    return Trajectory(motion.t, xy[:, ::-1] if symmetry & 4 else xy)
-
-
-# ---- symmetries
-
-
-@pytest.mark.parametrize("symmetry", SYMMETRIES)
-def test_the_mirrored_photo_is_blurred_by_the_mirrored_psf(symmetry):
-    sharp = torch.rand(1, 1, 80, 90, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    psf = torch.from_numpy(bent_path().psf(64))[None, None]
-    photo = torch.from_numpy(blur_symmetric(sharp[0, 0], psf[0, 0]))[None, None]
-    again = blur_symmetric(mirrored(sharp, symmetry, pitch=0)[0, 0], mirrored(psf, symmetry, pitch=1)[0, 0])
-    np.testing.assert_allclose(again, mirrored(photo, symmetry, pitch=0)[0, 0], atol=1e-12)
-
-
-@pytest.mark.parametrize("symmetry", SYMMETRIES)
-def test_mirrored_maps_are_those_of_the_mirrored_path(symmetry):
-    motion = bent_path()
-    other = turned(motion, symmetry)
-    psf, hr_map = torch.from_numpy(motion.psf(64))[None, None], torch.from_numpy(motion.hr_map())[None, None]
-    np.testing.assert_allclose(mirrored(psf, symmetry, pitch=1)[0, 0], other.psf(64), atol=1e-12)
-    np.testing.assert_array_equal(mirrored(hr_map, symmetry, pitch=4)[0, 0], other.hr_map())
-
-
-@pytest.mark.parametrize("symmetry", SYMMETRIES)
-def test_box_means_of_the_mirrored_hr_map_are_the_mirrored_box_means(bank, symmetry):
-    _, x0, dwell = bank.targets(torch.arange(6))
-    for maps in (x0, dwell):
-        fine = functional.avg_pool2d(mirrored(maps, symmetry, pitch=4), 4)
-        torch.testing.assert_close(fine, mirrored(functional.avg_pool2d(maps, 4), symmetry, pitch=1))
-
-
-def test_the_eight_symmetries_differ_and_keep_the_zero_displacement():
-    for pitch, side, zero in ((1, 64, [32]), (4, 256, [129, 130])):
-        maps = torch.rand(1, 1, side, side, generator=torch.Generator().manual_seed(1))
-        middle = torch.zeros(1, 1, side, side)
-        middle[..., zero[0] : zero[-1] + 1, zero[0] : zero[-1] + 1] = 1
-        variants = [mirrored(maps, symmetry, pitch=pitch) for symmetry in SYMMETRIES]
-        assert len({bytes(variant.contiguous().numpy()) for variant in variants}) == 8
-        for symmetry in SYMMETRIES:
-            assert torch.equal(mirrored(middle, symmetry, pitch=pitch), middle)
-    assert torch.equal(mirrored(maps, 0, pitch=4), maps)
 
 
 # ---- shifts

@@ -1,0 +1,323 @@
+"""Blind estimation in photos of any size, with a search whose answers are known: crops, halving, what is told."""
+
+import numpy as np
+import pytest
+
+from motdiff.estimators.blind import Found, estimate_blind
+from motdiff.metrics import mnc_subpixel
+from motdiff.simulate import blur_valid
+from motdiff.trajectory import Trajectory
+
+KERNEL_PX = 39
+
+
+def line(length_px=9, *, side=KERNEL_PX, angle_rad=0.0):
+    """Kernel of a straight, even motion, exactly 0 elsewhere."""
+    return Trajectory.straight(length_px, angle_rad=angle_rad).psf(side)
+
+
+class FakeSearch:
+    """Finds a given kernel with a given confidence, the next pair at each scale; notes what it is asked.
+
+    The last pair goes on. ``singles`` are the kernels of single crops.
+    """
+
+    largest_px = KERNEL_PX
+    smallest_px = 48
+
+    def __init__(self, *answers, singles=None, warnings=(), others=()):
+        self.answers = list(answers or [(line(), 0.9)])
+        self.singles, self.warnings, self.others = singles, warnings, list(others)
+        self.seen, self.alone = [], []
+
+    def search(self, crops):
+        kernel, confidence = self.answers[min(len(self.seen), len(self.answers) - 1)]
+        self.seen.append(crops)
+        kernels, probabilities = zip(*self.others, (kernel, confidence), strict=True)
+        best = len(self.others)
+        return Found(kernels, np.array(probabilities), best, {"answer": len(self.seen)}, tuple(self.warnings))
+
+    def single(self, crops, found):
+        self.alone.append((crops, found))
+        return self.singles or [found.kernels[found.best]] * len(crops)
+
+
+def noise(*shape, seed=0):
+    return np.random.default_rng(seed).random(shape)
+
+
+def found_in(photo, search=None, *, most_crops=3):
+    search = search or FakeSearch()
+    return estimate_blind(photo, search, method="fake", most_crops=most_crops), search
+
+
+# ---- crops
+
+
+@pytest.mark.parametrize("shape", [(48, 48), (64, 320), (256, 256), (300, 300), (320, 320)])
+def test_small_photos_are_searched_whole(shape):
+    photo = noise(*shape)
+    estimate, search = found_in(photo)
+    (crops,) = search.seen
+    np.testing.assert_array_equal(crops, photo[None])
+    assert estimate.details["crops"] == 1
+    assert search.alone == []
+
+
+@pytest.mark.parametrize(
+    ("shape", "most", "expected"),
+    [
+        ((321, 300), 3, (1, 256, 256)),
+        ((500, 700), 3, (3, 256, 256)),
+        ((500, 700), 2, (2, 256, 256)),
+        ((500, 700), 1, (1, 256, 256)),
+        ((100, 600), 3, (3, 100, 100)),
+        ((60, 330), 3, (3, 60, 60)),
+    ],
+)
+def test_large_photos_are_searched_in_square_crops(shape, most, expected):
+    photo = noise(*shape)
+    estimate, search = found_in(photo, most_crops=most)
+    (crops,) = search.seen
+    assert crops.shape == expected
+    assert estimate.details["crops"] == expected[0]
+    places = np.lib.stride_tricks.sliding_window_view(photo, expected[1:])
+    for crop in crops:
+        corners = np.argwhere(places[:, :, 0, 0] == crop[0, 0])
+        assert any(np.array_equal(places[r, c], crop) for r, c in corners)
+    assert len({crop.tobytes() for crop in crops}) == len(crops)
+
+
+def test_colours_are_searched_on_their_luminance():
+    photo = noise(70, 80, 3)
+    _, search = found_in(photo)
+    np.testing.assert_allclose(search.seen[0][0], photo.mean(axis=2))
+
+
+def test_crops_without_texture_are_left_out():
+    """A burnt-out sky has no noise either: its spectrum is 0, and nothing can be said of it."""
+    photo = np.full((500, 700), 1.0)
+    photo[:200, :200] = noise(200, 200)
+    estimate, search = found_in(photo)
+    assert search.seen[0].shape == (2, 256, 256)  # one whole, one that overlaps it a little
+    assert (np.ptp(search.seen[0], axis=(1, 2)) > 0).all()
+    assert estimate.details["crops"] == 2
+
+
+def test_every_crop_shares_in_the_check_of_one_blur():
+    _, search = found_in(noise(500, 700))
+    ((crops, found),) = search.alone
+    np.testing.assert_array_equal(crops, search.seen[0])
+    assert found.details == {"answer": 1}
+
+
+# ---- halving
+
+
+LONG = line(36)  # more than 0.8 of the frame
+UNSURE, SURE, SURER = 0.55, 0.7, 0.8
+
+
+def scales(photo_px, *answers):
+    estimate, search = found_in(noise(photo_px, photo_px), FakeSearch(*answers))
+    return estimate, [crops.shape for crops in search.seen]
+
+
+def test_a_blur_that_fits_is_not_tried_again():
+    estimate, seen = scales(300, (line(28), SURE))
+    assert len(seen) == 1
+    assert estimate.details["scale"] == 1
+    assert estimate.warnings == ()
+
+
+def test_a_blur_that_outgrows_the_search_is_tried_at_half_size():
+    half = line(18)
+    estimate, seen = scales(300, (LONG, UNSURE), (half, SURE))
+    assert seen == [(1, 300, 300), (1, 150, 150)]
+    assert estimate.details["scale"] == 0.5
+    assert estimate.details["answer"] == 2
+    assert estimate.confidence == SURE
+    assert estimate.warnings == ("the motion was estimated on the photo at 1/2 of its size, where it shows better",)
+    assert estimate.trajectories[0].length_px == pytest.approx(36, rel=0.06)
+    assert mnc_subpixel(estimate.psf, line(36, side=65)) > 0.97
+    assert estimate.psf.shape == (64, 64)
+    assert estimate.psf.sum() == pytest.approx(1)
+
+
+def test_a_veil_over_the_whole_frame_counts_as_a_blur_that_outgrows_it():
+    """What is off the path must be exactly 0: the search sees to it."""
+    veil = line(9) + 1e-6
+    _, seen = scales(300, (veil / veil.sum(), UNSURE), (line(5), SURE))
+    assert len(seen) == 2
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "halved"),
+    [(0.6, 0.66, True), (0.6, 0.64, False), (0.2, 0.51, True), (0.2, 0.49, False), (0.47, 0.51, False)],
+)
+def test_half_size_is_taken_only_where_it_is_clearly_better(first, second, halved):
+    estimate, seen = scales(600, (LONG, first), (line(18), second))
+    assert len(seen) == 2
+    assert estimate.details["scale"] == (0.5 if halved else 1)
+    assert estimate.confidence == (second if halved else first)
+
+
+def test_a_photo_is_halved_twice_at_most():
+    estimate, seen = scales(400, (LONG, 0.55), (LONG, 0.65), (LONG, 0.75), (line(5), 0.95))
+    assert len(seen) == 3
+    assert estimate.details["scale"] == 0.25
+    assert estimate.trajectories[0].length_px == pytest.approx(4 * 36, rel=0.06)
+    assert estimate.psf.shape[0] == estimate.trajectories[0].frame_size() > 64
+    assert "1/4 of its size" in estimate.warnings[-1]
+
+
+def test_twice_as_coarse_stops_where_it_no_longer_helps():
+    estimate, seen = scales(400, (LONG, 0.55), (LONG, 0.65), (line(9), 0.66))
+    assert len(seen) == 3
+    assert estimate.details["scale"] == 0.5
+
+
+@pytest.mark.parametrize(("side", "confidence", "tries"), [(512, 0.3, 2), (511, 0.3, 1), (512, 0.5, 1)])
+def test_a_lost_blur_is_looked_for_at_half_size_where_pixels_are_to_spare(side, confidence, tries):
+    _, seen = scales(side, (line(9), confidence))
+    assert len(seen) == tries
+
+
+@pytest.mark.parametrize(("side", "tries"), [(192, 2), (191, 1)])
+def test_small_photos_are_not_halved(side, tries):
+    _, seen = scales(side, (LONG, UNSURE), (line(5), 0.1))
+    assert len(seen) == tries
+
+
+def test_halved_photos_are_means_of_pixels():
+    photo = noise(300, 260)
+    _, search = found_in(photo, FakeSearch((LONG, UNSURE), (line(), SURE)))
+    np.testing.assert_allclose(search.seen[1][0], photo.reshape(150, 2, 130, 2).mean(axis=(1, 3)), atol=1e-12)
+
+
+# ---- what is told
+
+
+def test_warnings_come_in_the_order_of_what_was_done():
+    kernels = [line(), line(angle_rad=1.5)]
+    search = FakeSearch((LONG, 0.1), (line(), 0.6), singles=kernels, warnings=("the search says this",))
+    estimate, _ = found_in(noise(700, 900), search)
+    said, uneven, halved = estimate.warnings
+    assert said == "the search says this"
+    assert uneven.startswith("The blur differs across the photo")
+    assert "1/2 of its size" in halved
+
+
+def test_a_lost_estimate_is_said_to_be_lost():
+    estimate, _ = found_in(noise(100, 100), FakeSearch((line(), 0.49)))
+    (lost,) = estimate.warnings
+    assert lost.startswith("the blind estimate is probably lost (confidence 0.49)")
+    assert found_in(noise(100, 100), FakeSearch((line(), 0.5)))[0].warnings == ()
+
+
+def test_one_blur_in_all_crops_is_no_warning():
+    estimate, search = found_in(noise(500, 700))
+    assert len(search.alone) == 1
+    assert estimate.warnings == ()
+
+
+def test_distinct_motions_follow_as_alternatives_likeliest_first():
+    up, slanted = line(9, angle_rad=np.pi / 2), line(15, angle_rad=0.9)
+    alike = line(10)
+    fourth = line(30, angle_rad=-0.6)
+    search = FakeSearch((line(9), 0.6), others=[(fourth, 0.1), (up, 0.3), (alike, 0.65), (slanted, 0.7)])
+    estimate, _ = found_in(noise(100, 100), search)
+    assert estimate.confidence == 0.6  # of the chosen one, which need not be the likeliest
+    assert estimate.weights == pytest.approx(np.array([0.6, 0.7, 0.3]) / 1.6)
+    angles = [np.arctan2(*np.ptp(motion.xy, axis=0)[::-1]) for motion in estimate.trajectories]
+    assert angles == pytest.approx([0, 0.9, np.pi / 2], abs=0.1)
+    assert [motion.length_px for motion in estimate.trajectories] == pytest.approx([9, 15, 9], abs=1.5)
+    assert {motion.direction for motion in estimate.trajectories} == {"unknown"}
+
+
+def test_faint_parts_are_in_the_psf_but_not_in_the_path():
+    branch = line(9) + 0.03 * np.roll(line(9, angle_rad=np.pi / 2), 5, axis=0)
+    branch /= branch.sum()
+    estimate, _ = found_in(noise(100, 100), FakeSearch((branch, 0.9)))
+    plain, _ = found_in(noise(100, 100))
+    assert estimate.psf[32 + 8, 32] > 0
+    assert np.ptp(estimate.trajectories[0].xy[:, 1]) < 1
+    assert estimate.trajectories[0].length_px == pytest.approx(plain.trajectories[0].length_px, abs=0.2)
+
+
+def test_specks_are_not_part_of_the_path():
+    speck = line(9)
+    speck[4, 4] = 0.3 * speck.max()
+    speck /= speck.sum()
+    estimate, _ = found_in(noise(100, 100), FakeSearch((speck, 0.9)))
+    plain, _ = found_in(noise(100, 100))
+    assert estimate.psf[32 - 15, 32 - 15] > 0
+    assert estimate.trajectories[0].length_px == pytest.approx(plain.trajectories[0].length_px, abs=0.2)
+
+
+@pytest.mark.parametrize(("side", "frame"), [(29, 64), (63, 64), (65, 66), (71, 72)])
+def test_kernels_are_framed_with_their_centre_at_half_the_frame(side, frame):
+    kernel = np.zeros((side, side))
+    kernel[side // 2 - 3, side // 2 + 5] = 1
+    kernel[side // 2 - 3, side // 2 + 6] = 1
+    estimate, _ = found_in(noise(100, 100), FakeSearch((kernel / 2, 0.9)))
+    assert estimate.psf.shape == (frame, frame)
+    assert np.argwhere(estimate.psf).tolist() == [[frame // 2 - 3, frame // 2 + 5], [frame // 2 - 3, frame // 2 + 6]]
+    assert estimate.psf.max() == 0.5
+
+
+def test_what_it_returns_keeps_the_conventions():
+    estimate, _ = found_in(noise(100, 100))
+    assert estimate.method == "fake"
+    assert estimate.weights == (1.0,)
+    assert estimate.details == {
+        "crops": 1,
+        "scale": 1.0,
+        "answer": 1,
+        "trajectory_psf_mnc": pytest.approx(1, abs=0.01),
+    }
+    scene = noise(60, 60)
+    blurred = blur_valid(scene, estimate.psf[16:49, 16:49])  # a true convolution about the middle
+    np.testing.assert_allclose(blurred, blur_valid(scene, line(9, side=33)), atol=1e-9)
+
+
+# ---- refusals
+
+
+@pytest.mark.parametrize(
+    ("photo", "message"),
+    [
+        (np.full((100, 100), 0.4), "photo: is constant; motion shows only where the scene has texture"),
+        (np.full((100, 100, 3), [0.1, 0.5, 0.3]), "photo: is constant; motion shows only where the scene has texture"),
+        (noise(47, 300), "photo: needs at least 48 x 48 px, got 300 x 47"),
+        (np.where(np.eye(100) > 0, np.nan, 0.5), "photo: must be finite, found NaN or infinity"),
+        (np.where(np.eye(100) > 0, np.inf, 0.5), "photo: must be finite, found NaN or infinity"),
+        (np.zeros(100), "photo: must be (H, W) or (H, W, C), got shape (100,)"),
+        (
+            np.repeat(np.arange(700)[None] >= 690, 700, axis=0) * 0.5,
+            "photo: has edges of one direction at most; motion shows only where the scene has texture",
+        ),
+    ],
+)
+def test_unusable_photos_are_refused_in_one_line(photo, message):
+    search = FakeSearch()
+    with pytest.raises(ValueError) as caught:  # noqa: PT011, the whole message is compared
+        found_in(photo, search, most_crops=1)
+    assert str(caught.value) == message
+    assert search.seen == []
+
+
+def test_the_search_says_how_small_a_photo_may_be():
+    search = FakeSearch()
+    search.smallest_px = 64
+    with pytest.raises(ValueError, match=r"^photo: needs at least 64 x 64 px, got 63 x 80$"):
+        found_in(noise(80, 63), search)
+    found_in(noise(80, 64), search)
+    assert len(search.seen) == 1
+
+
+def test_found_is_as_sure_as_its_choice():
+    found = Found((line(), line(5)), np.array([0.2, 0.7]), 0)
+    assert found.confidence == 0.2
+    assert found.details == {}
+    assert found.warnings == ()

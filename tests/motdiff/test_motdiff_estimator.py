@@ -1,0 +1,566 @@
+"""The estimator with the diffusion model: an oracle for a network proves what is done around it; real ones run."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+
+from motdiff.conditions import QUICK_STARTS, autocorrelation, spectral_maps
+from motdiff.estimators.blind import Found
+from motdiff.estimators.motdiff import MotDiffEstimator, drawing
+from motdiff.estimators.motdiff import estimator as module
+from motdiff.estimators.motdiff.drawing import draw_psfs
+from motdiff.estimators.pmp import PmpEstimator
+from motdiff.estimators.pmp.estimator import Start
+from motdiff.estimators.pmp.score import noise_sigma
+from motdiff.evaluation.methods import NetworkAlone, named_estimators
+from motdiff.grids import mirrored
+from motdiff.metrics import mnc_subpixel
+from motdiff.network import NetworkConfig
+from motdiff.sampling import psfs_of_maps
+from motdiff.simulate import blur_valid
+from motdiff.training.config import DataConfig, TrainingConfig
+from motdiff.training.loop import Trainer
+from motdiff.trajectory import Trajectory
+from motdiff.weights import export_weights
+
+STRAIGHT = Trajectory.straight(15.0, angle_rad=0.5)
+TINY = {
+    "physics_channels": 2 + 2 * len(QUICK_STARTS),
+    "physics_width": 8,
+    "physics_depth": 1,
+    "physics_patch": 2,
+    "width": 8,
+    "denoiser_width": 8,
+    "decoder_widths": (8, 4),
+    "dwell": True,
+    "time_width": 16,
+}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def bent():
+    """No symmetry of its own, and a slow end."""
+    t = np.linspace(0, 1, 50)
+    return Trajectory.from_samples(np.c_[15.3 * t, 7.1 * np.sin(2.7 * t) + 3.3 * t], t=t**1.6)
+
+
+def turned(motion, symmetry):
+    """The path of the turned or mirrored photo."""
+    xy = motion.xy * [-1 if symmetry & 2 else 1, -1 if symmetry & 1 else 1]
+    return Trajectory(motion.t, xy[:, ::-1] if symmetry & 4 else xy)
+
+
+def dead_leaves(height, width, *, seed=0):
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:height, :width]
+    image = np.full((height, width), 0.5)
+    for _ in range(height * width // 60):
+        radius, cx, cy = 3 / rng.uniform(0.05, 1), rng.uniform(0, width), rng.uniform(0, height)
+        near = tuple(slice(max(0, int(c - radius)), int(c + radius) + 2) for c in (cy, cx))
+        image[near][(x[near] - cx) ** 2 + (y[near] - cy) ** 2 < radius**2] = rng.uniform(0.05, 0.95)
+    return image
+
+
+def photo_of(motion, height=128, width=128, *, seed=0):
+    sharp = dead_leaves(height + 32, width + 32, seed=seed)
+    photo = blur_valid(sharp, motion.psf(33))
+    return np.clip(photo + np.random.default_rng(seed).normal(0, 0.005, photo.shape), 0, 1)
+
+
+def seeded(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+# ---- networks
+
+
+class Oracle:
+    """Knows the motion in a photo, and how it lies when that photo is turned or mirrored."""
+
+    physics, photo = None, True
+
+    def __init__(self, motion, *, logit=40.0):
+        self.logit = logit
+        self.maps = [torch.from_numpy(turned(motion, symmetry).hr_map()).float() for symmetry in range(8)]
+        self.photos, self.steps = [], []
+
+    def condition(self, photo, physics):
+        assert physics is None
+        alike = [s for s in range(8) if self.photos and torch.equal(mirrored(self.photos[0], s, pitch=0), photo)]
+        self.photos = [*self.photos, photo] if alike else [photo]
+        return torch.full((1, 1, 64, 64), float(alike[0] if alike else 0))
+
+    def denoise(self, x_t, t, condition):
+        self.steps.append((int(t[0]), len(x_t)))
+        maps = torch.stack([self.maps[int(symmetry)] for symmetry in condition[:, 0, 0, 0]])[:, None]
+        return self.logit * (2 * maps - 1)
+
+
+def estimator_with(monkeypatch, network, **options):
+    monkeypatch.setattr(module, "load_network", lambda: network)
+    return MotDiffEstimator(**options)
+
+
+@pytest.fixture(scope="module")
+def weights_of(tmp_path_factory):
+    """Writes weights files of networks that were never trained."""
+
+    def written(backbone):
+        folder = tmp_path_factory.mktemp("run")
+        config = TrainingConfig(DataConfig(photos="photos"), network=NetworkConfig(backbone=backbone, **TINY))
+        Trainer(config).save(folder / "checkpoint")
+        export_weights(folder / "checkpoint", folder / "tiny.safetensors")
+        return folder / "tiny.safetensors"
+
+    return written
+
+
+@pytest.fixture(scope="module")
+def physics_only(weights_of):
+    return weights_of("none")
+
+
+@pytest.fixture
+def no_search(monkeypatch):
+    """Make-believe quick kernels, where what is proved does not depend on them; notes what they are asked."""
+    asked = []
+
+    def made_up(photos, *, sigma, starts):
+        asked.append((tuple(photos.shape), sigma, starts))
+        kernels = torch.zeros(len(photos), len(starts), 64, 64)
+        for i, start in enumerate(starts):
+            kernels[:, i, 30, 27:38], kernels[:, i, 31:36, 27 + start.size // 20] = 1 / 16, 1 / 16  # an L
+        return kernels
+
+    for place in (drawing, module):
+        monkeypatch.setattr(place, "quick_kernels", made_up)
+    return asked
+
+
+@pytest.fixture
+def no_tracing(monkeypatch):
+    """What a network that was never trained draws is no path, and long to trace."""
+    for place in ("motdiff.estimators.blind", "motdiff.tracing"):
+        monkeypatch.setattr(f"{place}.trace_psf_to_trajectory", lambda psf: STRAIGHT)
+
+
+# ---- drawing
+
+
+def test_every_turn_of_the_photo_is_undone():
+    oracle = Oracle(bent())
+    crops = photo_of(bent(), 90, 110)[None]
+    drawn = draw_psfs(oracle, crops, sigma=0.005, count=11, steps=3, generator=seeded())
+    assert len(oracle.photos) == 8  # once for each symmetry
+    assert len({photo.numpy().tobytes() for photo in oracle.photos}) == 8
+    assert oracle.steps == [(999, 11), (666, 11), (332, 11)]
+    expected = psfs_of_maps(torch.from_numpy(bent().hr_map()).double()).numpy()
+    assert drawn.psfs.shape == (11, 64, 64)
+    np.testing.assert_allclose(drawn.psfs, np.broadcast_to(expected, (11, 64, 64)), atol=1e-6)
+    np.testing.assert_allclose(drawn.psfs.sum(axis=(1, 2)), 1, atol=1e-6)
+    assert drawn.quick.shape == (0, 64, 64)
+
+
+def test_one_draw_sees_the_photo_as_it_is():
+    oracle = Oracle(bent())
+    draw_psfs(oracle, photo_of(bent(), 90, 110)[None], sigma=0.005, count=1, steps=1, generator=seeded())
+    assert len(oracle.photos) == 1
+
+
+def test_the_network_sees_the_best_crop_at_display_values():
+    crops = np.random.default_rng(0).random((2, 300, 280))
+    oracle = Oracle(STRAIGHT)
+    draw_psfs(oracle, crops, sigma=0.01, count=1, steps=1, generator=seeded())
+    assert oracle.photos[0].shape == (1, 3, 256, 256)
+    for channel in oracle.photos[0][0].double().numpy():
+        np.testing.assert_allclose(channel**2.2, crops[0, 22:278, 12:268], atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(255, 256), (100, 140), (129, 48), (64, 65)])
+def test_a_small_crop_is_mirrored_outwards(shape):
+    crop = np.random.default_rng(0).random(shape)
+    oracle = Oracle(STRAIGHT)
+    draw_psfs(oracle, crop[None], sigma=0.01, count=1, steps=1, generator=seeded())
+    rows, columns = (np.abs((np.arange(256) + n - 1) % (2 * n - 2) - n + 1) for n in shape)  # 0 1 .. n-1 n-2 .. 1 0 1
+    seen = oracle.photos[0][0, 0].double().numpy() ** 2.2
+    np.testing.assert_allclose(seen, crop[rows][:, columns], atol=1e-6)
+
+
+class Blind:
+    """A network of physics maps alone; notes what it is shown."""
+
+    physics, photo = True, None
+
+    def __init__(self):
+        self.shown = []
+
+    def condition(self, photo, physics):
+        assert photo is None
+        self.shown.append(physics)
+        return torch.zeros(1, 1, 64, 64)
+
+    def denoise(self, x_t, t, condition):
+        return torch.zeros_like(x_t)
+
+
+def test_physics_maps_turn_with_the_photo(no_search):
+    crops = torch.from_numpy(photo_of(bent(), 96, 96)).float()[None, None]
+    network = Blind()
+    drawn = draw_psfs(network, crops[0].double().numpy(), sigma=0.005, count=8, steps=1, generator=seeded())
+    assert drawn.quick.shape == (3, 64, 64)
+    inner = (..., slice(1, None), slice(1, None))  # lag -32 has no partner
+    for symmetry, maps in enumerate(network.shown):
+        assert maps.shape == (1, 8, 64, 64)
+        lags = spectral_maps(mirrored(crops, symmetry, pitch=0))
+        torch.testing.assert_close(maps[:, :1][inner], lags[:, :1][inner], atol=1e-3, rtol=0)
+        kernels = torch.from_numpy(drawn.quick).float()[None]
+        kernels = mirrored(kernels / kernels.amax(dim=(2, 3), keepdim=True), symmetry, pitch=1)
+        torch.testing.assert_close(maps[:, 2:5], kernels)
+        torch.testing.assert_close(maps[:, 5:][inner], autocorrelation(kernels)[inner], atol=1e-5, rtol=0)
+
+
+def test_the_quick_searches_share_the_crops_and_their_noise(no_search):
+    crops = np.random.default_rng(0).random((3, 80, 90))
+    draw_psfs(Blind(), crops, sigma=0.02, count=2, steps=1, generator=seeded())
+    assert sorted(no_search, key=lambda call: call[2][0].size) == [
+        ((1, 3, 80, 90), 0.02, (start,)) for start in sorted(QUICK_STARTS, key=lambda start: start.size)
+    ]
+
+
+# ---- an oracle's motion is found
+
+
+@pytest.fixture(scope="module")
+def shaken():
+    return photo_of(STRAIGHT)
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_an_oracle_s_motion_is_found(monkeypatch, shaken, refine):
+    oracle = Oracle(STRAIGHT)
+    estimate = estimator_with(monkeypatch, oracle, steps=4, refine=refine, fall_back=False).estimate(shaken)
+    truth = STRAIGHT.psf(64)
+    assert mnc_subpixel(estimate.psf, truth) > 0.98
+    assert mnc_subpixel(estimate.trajectories[0].psf(), truth) > 0.95
+    assert estimate.method == "motdiff"
+    assert estimate.trajectories[0].direction == "unknown"
+    assert estimate.confidence > 0.5
+    assert estimate.warnings == ()
+    assert estimate.psf.shape == (64, 64)
+    assert estimate.psf.sum() == pytest.approx(1)
+    assert estimate.psf.min() >= 0
+    details = dict(estimate.details)
+    assert details.pop("chosen") in ("sample", "mean", *(["refined"] if refine else []))
+    assert details.pop("trajectory_psf_mnc") > 0.9
+    assert details.pop("sample_agreement") == pytest.approx(1, abs=1e-3)
+    assert details == {"crops": 1, "scale": 1.0, "samples": 8, "quick": 0, "steps": 4}
+
+
+def test_refinement_finds_the_dwell_that_the_network_does_not_know(monkeypatch):
+    """The map of a path says nothing of the time spent on it; the photo does."""
+    photo, truth = photo_of(bent(), 144, 144), bent().psf(64)
+    psfs = {
+        refine: estimator_with(monkeypatch, Oracle(bent()), samples=1, steps=2, refine=refine, fall_back=False)
+        .estimate(photo)
+        .psf
+        for refine in (False, True)
+    }
+    assert 0.8 < mnc_subpixel(psfs[False], truth) < 0.95
+    assert mnc_subpixel(psfs[True], truth) > 0.97
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_what_a_network_is_nearly_sure_of_is_exactly_0(monkeypatch, refine):
+    """Its probabilities never are; light all over the frame would be taken for a blur that outgrows it."""
+    network = Oracle(STRAIGHT, logit=6.0)
+    estimator = estimator_with(monkeypatch, network, samples=2, steps=2, refine=refine, fall_back=False)
+    asked = []
+    search = estimator.search
+    monkeypatch.setattr(estimator, "search", lambda crops: asked.append(crops.shape) or search(crops))
+    estimate = estimator.estimate(photo_of(STRAIGHT, 200, 200))
+    assert asked == [(1, 200, 200)]
+    rows, columns = np.nonzero(estimate.psf)
+    assert np.ptp(columns) < 20
+    assert np.ptp(rows) < 15
+    assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.98
+
+
+def test_candidates_are_the_draws_the_quick_kernels_and_the_draws_mean():
+    psfs = np.zeros((3, 64, 64))
+    for i in range(3):
+        psfs[i, 32, 32 + i], psfs[i, 0, 5] = 0.75, 0.25
+    drawn = drawing.Drawn(psfs[:2], psfs[2:])
+    kernels = module._candidates(drawn)
+    assert [kernel.shape for kernel in kernels] == [(63, 63)] * 4
+    lit = [[[31, 31]], [[31, 32]], [[31, 33]], [[31, 31], [31, 32]]]
+    assert [np.argwhere(kernel).tolist() for kernel in kernels] == lit
+    assert [kernel.sum() for kernel in kernels] == pytest.approx([1, 1, 1, 1])
+    origins = [module._origin(i, samples=2, quick=1) for i in range(6)]
+    assert origins == ["sample", "sample", "quick", "mean", "refined", "refined"]
+
+
+def test_only_distinct_candidates_are_refined():
+    straight, longer, upright = (
+        Trajectory.straight(length, angle_rad=angle).psf(63) for length, angle in ((12, 0), (13, 0), (12, 1.5))
+    )
+    kernels = [straight, longer, upright, straight, np.eye(63) / 63]
+    assert module._distinct(kernels, np.array([3, 1, 2, 0, 4]), most=3) == [3, 2, 4]
+    assert module._distinct(kernels, np.array([3, 1, 2, 0, 4]), most=2) == [3, 2]
+    assert module._distinct(kernels, np.array([0, 1, 3]), most=3) == [0]
+
+
+# ---- real networks, never trained
+
+
+def test_the_same_photo_and_seed_give_the_same_estimate(physics_only, no_tracing, shaken):
+    options = {"weights": physics_only, "samples": 2, "steps": 2, "fall_back": False, "seed": 4}
+    first, again = (MotDiffEstimator(**options).estimate(shaken[:72, :80]) for _ in range(2))
+    np.testing.assert_array_equal(first.psf, again.psf)
+    assert (first.confidence, first.details, first.weights) == (again.confidence, again.details, again.weights)
+    assert first.details["quick"] == 3
+
+
+def test_another_seed_gives_other_draws(physics_only, no_search, shaken):
+    options = {"weights": physics_only, "samples": 3, "steps": 2, "fall_back": False, "refine": False}
+    one, same, other = (MotDiffEstimator(**options, seed=seed).search(shaken[None]).kernels[:3] for seed in (4, 4, 5))
+    for i in range(3):
+        np.testing.assert_array_equal(one[i], same[i])
+        assert np.abs(one[i] - other[i]).max() > 1e-3 * one[i].max()
+        assert all(np.abs(one[i] - one[j]).max() > 1e-3 * one[i].max() for j in range(i))
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        ((100, 140), (1, 100, 140)),
+        ((64, 64), (1, 64, 64)),
+        ((256, 256), (1, 256, 256)),
+        ((300, 300), (1, 300, 300)),
+        ((500, 700), (3, 256, 256)),
+    ],
+)
+def test_photos_of_any_size(physics_only, no_search, no_tracing, shape, expected):
+    options = {"samples": 1, "steps": 1, "refine": False, "fall_back": False}
+    estimate = MotDiffEstimator(weights=physics_only, **options).estimate(dead_leaves(*shape))
+    searched = no_search[: len(QUICK_STARTS)]
+    assert {call[0] for call in searched} == {(1, *expected)}
+    assert estimate.psf.sum() == pytest.approx(1)
+    assert np.isfinite(estimate.psf).all()
+    if expected[0] == 1:
+        assert estimate.details["crops"] == 1
+
+
+def test_at_most_so_many_crops_as_asked_for(physics_only, no_search, no_tracing):
+    options = {"samples": 1, "steps": 1, "refine": False, "fall_back": False, "crops": 2}
+    MotDiffEstimator(weights=physics_only, **options).estimate(dead_leaves(500, 700))
+    assert {call[0] for call in no_search[:3]} == {(1, 2, 256, 256)}
+
+
+def test_a_network_of_photo_and_physics(weights_of, no_search, no_tracing):
+    weights = weights_of("b0")
+    options = {"samples": 1, "steps": 1, "refine": False, "fall_back": False}
+    estimate = MotDiffEstimator(weights=weights, **options).estimate(dead_leaves(200, 300))
+    assert estimate.details["quick"] == 3
+    assert estimate.psf.sum() == pytest.approx(1)
+    assert np.isfinite(estimate.psf).all()
+    # of two photos with the same quick kernels it draws different paths
+    one, other = (NetworkAlone(weights, steps=1).estimate(dead_leaves(64, 64, seed=seed)).psf for seed in (0, 1))
+    assert np.abs(one - other).max() > 5e-4 * one.max()
+
+
+def test_each_crop_alone_is_searched_once(physics_only, no_search):
+    estimator = MotDiffEstimator(weights=physics_only)
+    crops = np.stack([photo_of(STRAIGHT, 80, 80, seed=seed) for seed in range(3)])
+    found = Found((STRAIGHT.psf(63),), np.ones(1), 0)
+    singles = estimator.single(crops, found)
+    assert len(singles) == 3
+    assert sorted(call[1] for call in no_search) == sorted(noise_sigma(crop) for crop in crops)
+    assert {(call[0], call[2]) for call in no_search} == {((1, 1, 80, 80), QUICK_STARTS[:1])}
+    assert all(single.sum() == pytest.approx(1) for single in singles)
+
+
+# ---- falling back
+
+
+class FakePmp:
+    """The classical search; notes that it was asked."""
+
+    asked = 0
+    kernel = Trajectory.straight(20.0, angle_rad=1.2).psf(39)
+    confidence = 0.45
+
+    def search(self, crops):
+        FakePmp.asked += 1
+        return Found((self.kernel,), np.array([FakePmp.confidence]), 0, {"starts": 5, "agreement": 0.9})
+
+
+@pytest.fixture
+def falling(monkeypatch, shaken):
+    """Runs the estimator with given confidences of the network's kernels and of the classical search."""
+
+    def run(network, classical, **options):
+        FakePmp.asked, FakePmp.confidence = 0, classical
+        monkeypatch.setattr(module, "PmpEstimator", FakePmp)
+        monkeypatch.setattr(module, "probabilities", lambda rows: np.full(len(rows), network))
+        estimator = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=1, steps=1, refine=False, **options)
+        return estimator.estimate(shaken)
+
+    return run
+
+
+WARNING = "the network's motions do not explain the photo well: this one is the classical search's (pmp)"
+
+
+def test_where_the_photo_does_not_believe_the_network_the_classical_search_is_asked(falling):
+    estimate = falling(0.3, 0.7)
+    assert FakePmp.asked == 1
+    assert estimate.method == "motdiff"
+    assert mnc_subpixel(estimate.psf, FakePmp.kernel) == pytest.approx(1)
+    assert estimate.confidence == 0.7
+    assert estimate.warnings == (WARNING,)
+    assert estimate.details["fell_back_to"] == "pmp"
+    assert estimate.details["samples"] == 1
+
+
+def test_a_classical_result_that_is_lost_too_says_both(falling):
+    estimate = falling(0.3, 0.4)
+    assert estimate.warnings[0] == WARNING
+    assert "probably lost (confidence 0.40)" in estimate.warnings[1]
+    assert estimate.details["fell_back_to"] == "pmp"
+
+
+@pytest.mark.parametrize("classical", [0.2, 0.3])
+def test_the_network_is_kept_where_the_photo_believes_the_classical_search_no_more(falling, classical):
+    estimate = falling(0.3, classical)
+    assert FakePmp.asked == 1
+    assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.98
+    assert estimate.confidence == 0.3
+    assert WARNING not in estimate.warnings
+    assert "fell_back_to" not in estimate.details
+
+
+@pytest.mark.parametrize(("network", "options"), [(0.5, {}), (0.9, {}), (0.3, {"fall_back": False})])
+def test_the_classical_search_is_not_asked_without_need_or_leave(falling, network, options):
+    estimate = falling(network, 0.95, **options)
+    assert FakePmp.asked == 0
+    assert estimate.confidence == network
+    assert "fell_back_to" not in estimate.details
+
+
+def test_the_real_classical_search_fits(monkeypatch, shaken):
+    """Its kernels come in frames of other sizes."""
+    monkeypatch.setattr(module, "PmpEstimator", partial(PmpEstimator, starts=(Start(21, sparsity=1.0),)))
+    monkeypatch.setattr(module, "probabilities", lambda rows: np.full(len(rows), 0.01))
+    estimator = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=1, steps=1, refine=False)
+    estimate = estimator.estimate(shaken)
+    assert estimate.details["fell_back_to"] == "pmp"
+    assert estimate.warnings[0] == WARNING
+    assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.8
+
+
+# ---- options, refusals, progress
+
+
+@pytest.mark.parametrize(
+    ("photo", "message"),
+    [
+        (np.full((100, 100), 0.4), "photo: is constant; motion shows only where the scene has texture"),
+        (np.random.default_rng(0).random((63, 200)), "photo: needs at least 64 x 64 px, got 200 x 63"),
+        (np.full((100, 100), np.nan), "photo: must be finite, found NaN or infinity"),
+        (np.zeros(5), "photo: must be (H, W) or (H, W, C), got shape (5,)"),
+    ],
+)
+def test_unusable_photos_are_refused_in_one_line(monkeypatch, photo, message):
+    oracle = Oracle(STRAIGHT)
+    with pytest.raises(ValueError) as caught:  # noqa: PT011, the whole message is compared
+        estimator_with(monkeypatch, oracle).estimate(photo)
+    assert str(caught.value) == message
+    assert oracle.photos == []
+
+
+@pytest.mark.parametrize("name", ["samples", "steps", "crops"])
+def test_counts_must_be_positive(name):
+    with pytest.raises(ValueError, match=f"^{name}: must be at least 1, got 0$"):
+        MotDiffEstimator(weights="nowhere.safetensors", **{name: 0})
+
+
+def test_missing_weights_are_named(tmp_path):
+    with pytest.raises(ValueError, match=r"none\.safetensors: cannot be read as weights"):
+        MotDiffEstimator(weights=tmp_path / "none.safetensors")
+
+
+@pytest.mark.parametrize("fall_back", [False, True])
+def test_progress_rises_to_one(monkeypatch, shaken, fall_back):
+    seen = []
+    monkeypatch.setattr(module, "PmpEstimator", FakePmp)
+    monkeypatch.setattr(module, "probabilities", lambda rows: np.full(len(rows), 0.3))
+    options = {"samples": 1, "steps": 1, "refine": False, "fall_back": fall_back, "progress": seen.append}
+    estimator_with(monkeypatch, Oracle(STRAIGHT), **options).estimate(shaken)
+    assert seen == ([0.5, 0.6, 1.0] if fall_back else [0.5, 1.0])
+
+
+# ---- the network alone, as the paper measures it
+
+
+@pytest.fixture
+def oracle_weights(monkeypatch):
+    oracle = Oracle(bent())
+    monkeypatch.setattr("motdiff.weights.load_network", lambda *path: oracle)
+    return oracle
+
+
+def test_the_network_alone_is_one_draw_as_it_is(oracle_weights):
+    photo = photo_of(bent(), 100, 120)
+    estimate = NetworkAlone(steps=3).estimate(photo)
+    assert len(oracle_weights.photos) == 1
+    assert oracle_weights.steps == [(999, 1), (666, 1), (332, 1)]
+    np.testing.assert_allclose(estimate.psf, psfs_of_maps(torch.from_numpy(bent().hr_map()).double()), atol=1e-6)
+    assert mnc_subpixel(estimate.trajectories[0].psf(), bent().psf(64)) > 0.85
+    assert (estimate.method, estimate.weights, estimate.warnings) == ("network", (1.0,), ())
+    colour = NetworkAlone(steps=3).estimate(np.repeat(photo[..., None], 3, axis=2))
+    np.testing.assert_allclose(colour.psf, estimate.psf, atol=1e-6)
+
+
+def test_the_network_alone_repeats_with_its_seed(physics_only, no_search, no_tracing, shaken):
+    first, again, other = (NetworkAlone(physics_only, steps=2, seed=seed).estimate(shaken).psf for seed in (0, 0, 1))
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 1e-3 * first.max()
+
+
+def test_samplers_are_named_with_their_steps(oracle_weights, shaken):
+    made = named_estimators(["network", "network:ddpm:4", "network:dpm++2m:2"])
+    calls = {}
+    for name, estimator in made.items():
+        oracle_weights.steps.clear()
+        estimator.estimate(shaken)
+        calls[name] = len(oracle_weights.steps)
+    assert calls == {"network": 10, "network:ddpm:4": 4, "network:dpm++2m:2": 2}
+
+
+@pytest.mark.parametrize("name", ["network:ddpm", "network:ddpm:many", "network:ddpm:4:5", "motdiff:3", "pmp:1"])
+def test_other_names_are_refused(oracle_weights, name):
+    with pytest.raises(ValueError, match=r"^method: must be network or network:SAMPLER:STEPS, got "):
+        named_estimators([name])
+
+
+def test_files_of_the_network_alone_are_rows_of_their_own(oracle_weights, tmp_path):
+    files = [tmp_path / "small.safetensors", tmp_path / "large.safetensors"]
+    for file in files:
+        file.touch()
+    assert list(named_estimators(["network", "network:ddpm:4"], files)) == [
+        "small network",
+        "large network",
+        "small network:ddpm:4",
+        "large network:ddpm:4",
+    ]
+    with pytest.raises(ValueError, match=r"^weights: are for the methods motdiff and network"):
+        named_estimators(["pmp"], files)

@@ -1,0 +1,103 @@
+"""Jobs side by side: the order of their results, their threads and gradients, and what happens when one fails."""
+
+import threading
+import time
+
+import pytest
+import torch
+
+from motdiff import parallel
+from motdiff.parallel import side_by_side
+
+
+@pytest.fixture(autouse=True)
+def three_threads():
+    """A number that no job leaves behind by chance."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(3)
+    yield
+    torch.set_num_threads(threads)
+
+
+def cores(monkeypatch, count):
+    monkeypatch.setattr(parallel.os, "cpu_count", lambda: count)
+
+
+def test_results_come_in_the_order_of_the_jobs_not_of_their_ends(monkeypatch):
+    cores(monkeypatch, 2)
+    last_is_done = threading.Event()
+    jobs = [lambda: last_is_done.wait(10) and "first", lambda: last_is_done.set() or "second"]
+    assert side_by_side(jobs) == ["first", "second"]
+
+
+@pytest.mark.parametrize(("count", "jobs", "expected"), [(1, 4, 1), (3, 6, 3), (8, 2, 2), (None, 3, 1)])
+def test_as_many_run_at_a_time_as_there_are_cores(monkeypatch, count, jobs, expected):
+    cores(monkeypatch, count)
+    lock, running, most = threading.Lock(), 0, 0
+    together = threading.Barrier(expected)
+
+    def job():
+        nonlocal running, most
+        with lock:
+            running += 1
+            most = max(most, running)
+        together.wait(10)
+        with lock:
+            running -= 1
+
+    side_by_side([job] * jobs)
+    assert most == expected
+
+
+def test_each_job_has_one_thread_and_no_gradients(monkeypatch):
+    cores(monkeypatch, 2)
+    weight = torch.ones(2, requires_grad=True)
+
+    def job():
+        return torch.get_num_threads(), torch.is_grad_enabled(), (2 * weight).requires_grad
+
+    assert side_by_side([job] * 4) == [(1, False, False)] * 4
+    assert torch.get_num_threads() == 3
+    assert torch.is_grad_enabled()
+
+
+def test_finished_jobs_are_counted():
+    told = []
+    side_by_side([lambda: None] * 3, tell=told.append)
+    assert told == [1, 2, 3]
+
+
+def test_no_jobs_have_no_results():
+    assert side_by_side([]) == []
+    assert torch.get_num_threads() == 3
+
+
+@pytest.mark.parametrize("error", [ValueError("no kernel"), KeyboardInterrupt()])
+def test_a_failure_is_raised_at_once_and_what_waits_is_not_started(monkeypatch, error):
+    cores(monkeypatch, 1)
+    started = []
+
+    def fails():
+        raise error
+
+    def slow():
+        started.append(True)
+        time.sleep(0.02)
+
+    with pytest.raises(type(error)):
+        side_by_side([fails, *[slow] * 100])
+    assert len(started) < 100
+    assert torch.get_num_threads() == 3
+
+
+def test_a_stop_between_two_jobs_ends_the_run(monkeypatch):
+    cores(monkeypatch, 1)
+    started = []
+
+    def stop(_finished):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        side_by_side([lambda: started.append(time.sleep(0.02))] * 100, tell=stop)
+    assert 1 <= len(started) < 100
+    assert torch.get_num_threads() == 3
