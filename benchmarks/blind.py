@@ -3,10 +3,11 @@
     python benchmarks/blind.py [simulated [DIR]] [--gyro-trace FILE] [--count 24] [--sigma 0.01]
     python benchmarks/blind.py levin DIR       # .mat files with x (sharp), y (blurred), f (kernel)
     python benchmarks/blind.py photos DIR -o OUT   # contact sheet of what was found
+    ... --method motdiff                           # pmp when omitted
 
 Without a folder the sharp photos are scikit-image's own, and without a trace the hand shake is synthetic.
 
-Every figure comes from the estimator's own PSF (what ``cep calibrate --method pmp`` writes).
+Every figure comes from the estimator's own PSF (what ``cep calibrate`` writes).
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ import numpy as np
 from _inputs import FloatArray, smooth_trace
 from _inputs import photos as photos_of
 
+from cep.calibrate import METHODS, make_estimator
 from cep.images import read_image, write_image
 from cep.restore import restore
-from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.pmp import PmpEstimator
+from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.gyro import GyroTrace, read_gyro
 from motdiff.metrics import mnc, mnc_subpixel, psnr_up_to_shift
 from motdiff.motions import boracchi_foi, random_gyro_motion
@@ -37,13 +38,13 @@ def pictures(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.suffix.lower() in PICTURES and "kernel" not in path.name)
 
 
-def estimated(photo: FloatArray) -> tuple[MotionEstimate, float]:
+def estimated(estimator: Estimator, photo: FloatArray) -> tuple[MotionEstimate, float]:
     start = time.process_time()
-    estimate = PmpEstimator().estimate(photo)
+    estimate = estimator.estimate(photo)
     return estimate, time.process_time() - start
 
 
-def levin(folder: Path) -> None:
+def levin(folder: Path, estimator: Estimator) -> None:
     from scipy.io import loadmat
 
     rows = []
@@ -51,7 +52,7 @@ def levin(folder: Path) -> None:
     for path in sorted(folder.glob("*.mat")):
         data = loadmat(path)
         truth, blurred = np.rot90(data["f"], 2), np.clip(data["y"], 0, 1)
-        estimate, seconds = estimated(blurred)
+        estimate, seconds = estimated(estimator, blurred)
         published = folder / "pmp_kernels" / f"tvmpr_{path.stem}_kernel.png"
         figures = [mnc(estimate.psf, truth), mnc_subpixel(estimate.psf, truth)]
         figures += [mnc_subpixel(estimate.trajectories[0].psf(), truth), estimate.confidence]
@@ -69,12 +70,14 @@ def restored_db(blurred: FloatArray, psf: FloatArray, sharp: FloatArray) -> floa
     return psnr_up_to_shift(restore(blurred, psf, method="tv").image, sharp)
 
 
-def simulated(folder: Path | None, trace_file: Path | None, count: int, sigma: float, seed: int) -> None:
+def simulated(
+    folder: Path | None, trace_file: Path | None, count: int, sigma: float, seed: int, estimator: Estimator
+) -> None:
     rng = np.random.default_rng(seed)
     trace = smooth_trace(rng, duration_s=60.0, rate_hz=200.0) if trace_file is None else read_gyro(trace_file)
     rows: dict[str, list[list[float]]] = {}
     for i, (kind, photo, psf) in enumerate(shaken(sharp_photos(folder), trace, count, sigma, seed)):
-        estimate, seconds = estimated(photo)
+        estimate, seconds = estimated(estimator, photo)
         path_mnc = mnc_subpixel(estimate.trajectories[0].psf(max(64, estimate.trajectories[0].frame_size())), psf)
         rows.setdefault(kind, []).append(
             [mnc(estimate.psf, psf), mnc_subpixel(estimate.psf, psf), path_mnc, estimate.confidence, seconds]
@@ -124,11 +127,11 @@ def shaken(
         yield kind, np.clip(blurred + rng.normal(0, sigma, blurred.shape), 0, 1), psf
 
 
-def photos(folder: Path, out: Path, gamma: str) -> None:
+def photos(folder: Path, out: Path, gamma: str, estimator: Estimator) -> None:
     strips = []
     for path in pictures(folder):
         photo = read_image(path, gamma=gamma)
-        estimate, seconds = estimated(photo)
+        estimate, seconds = estimated(estimator, photo)
         print(
             f"{path.name:32s} {photo.shape[1]}x{photo.shape[0]}  conf {estimate.confidence:.2f}  "
             f"extent {estimate.trajectories[0].extent_px:5.1f} px  {seconds:5.1f} CPU-s",
@@ -161,16 +164,18 @@ def main() -> None:
     parser.add_argument("--sigma", type=float, default=0.01)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--gamma", default="srgb")
+    parser.add_argument("--method", choices=METHODS[:2], default="pmp")
     parser.add_argument("-o", "--out", type=Path, default=Path("out/blind"))
     given = parser.parse_args()
     if given.folder is None and given.what != "simulated":
         parser.error(f"{given.what} needs a folder")
+    estimator = make_estimator(given.method)
     if given.what == "levin":
-        levin(given.folder)
+        levin(given.folder, estimator)
     elif given.what == "simulated":
-        simulated(given.folder, given.gyro_trace, given.count, given.sigma, given.seed)
+        simulated(given.folder, given.gyro_trace, given.count, given.sigma, given.seed, estimator)
     else:
-        photos(given.folder, given.out, given.gamma)
+        photos(given.folder, given.out, given.gamma, estimator)
 
 
 if __name__ == "__main__":

@@ -127,9 +127,7 @@ def run_chain(
     clock = _Clock(tell)
     clock.begin(0.0, "estimating the motion")
     check_texture(scene.photo)  # before anything slow is loaded
-    blind = estimator or make_estimator(
-        "pmp", progress=lambda share: tell(_BLIND_SHARE * share, "estimating the motion")
-    )
+    blind = estimator or make_estimator(progress=lambda share: tell(_BLIND_SHARE * share, "estimating the motion"))
     estimate = calibrate(scene.photo, blind)
     motion = estimate.trajectories[0]
 

@@ -45,11 +45,14 @@ class NetworkAlone:
         from motdiff.tracing import trace_psf_to_trajectory
 
         grey = luminance(photo)
+        told = np.zeros((0, 64, 64))
+        if self._network.physics is not None:
+            told = searched_quickly(grey[None], sigma=noise_sigma(grey))
         generator = torch.Generator().manual_seed(self._seed)
         (psf,) = draw_psfs(
             self._network,
             grey[None],
-            searched_quickly(grey[None], sigma=noise_sigma(grey)),
+            told,
             count=1,
             steps=self._steps,
             generator=generator,

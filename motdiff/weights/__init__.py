@@ -20,6 +20,7 @@ __all__ = ["DEFAULT_WEIGHTS", "export_weights", "load_network", "read_card"]
 DEFAULT_WEIGHTS = Path(__file__).with_name("motdiff.safetensors")
 _SCHEMA = "motdiff.weights/1"
 _OUTPUT_BIAS = "denoiser.output.1.bias"
+_PATHS = (("data", "photos"), ("data", "prepared"), ("data", "prepared_validation"), ("motions", "gyro_trace"))
 
 
 def export_weights(
@@ -62,7 +63,7 @@ def export_weights(
     tensors[_OUTPUT_BIAS] = bias
     header = {
         "schema": _SCHEMA,
-        "config": json.dumps(found.config),
+        "config": json.dumps(_without_folders(found.config)),
         "step": str(found.step),
         "seconds": f"{found.seconds:.0f}",
         "offset": f"{offset:g}",
@@ -71,6 +72,16 @@ def export_weights(
     data = _in_order(save({name: tensor.contiguous() for name, tensor in tensors.items()}, header), header)
     write_bytes_atomically(Path(target), data)
     return len(data)
+
+
+def _without_folders(config: Mapping[str, object]) -> dict[str, object]:
+    """Put file names in place of paths: where the files lay is nobody's business."""
+    sections = {name: dict(values) if isinstance(values, Mapping) else values for name, values in config.items()}
+    for name, entry in _PATHS:
+        section = sections.get(name)
+        if isinstance(section, dict) and section.get(entry):
+            section[entry] = Path(str(section[entry])).name
+    return sections
 
 
 def load_network(path: Path | str = DEFAULT_WEIGHTS, *, device: str | torch.device = "cpu") -> MotDiffNetwork:

@@ -1,5 +1,7 @@
 """The choice of an estimator, and the files of a calibration."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -21,11 +23,71 @@ def estimate(*paths):
     return MotionEstimate("pmp", paths, weights, paths[0].psf(max(64, paths[0].frame_size())), 0.5)
 
 
-def test_each_method_makes_its_estimator():
+@pytest.fixture
+def small_weights(tmp_path, monkeypatch):
+    """A tiny network that was never trained, in place of the one of the package."""
+    from motdiff.estimators.motdiff import estimator
+    from motdiff.network import NetworkConfig
+    from motdiff.training.config import DataConfig, TrainingConfig
+    from motdiff.training.loop import Trainer
+    from motdiff.weights import export_weights, load_network
+
+    network = NetworkConfig(
+        backbone="none",
+        physics_channels=8,
+        physics_width=8,
+        physics_depth=1,
+        physics_patch=2,
+        denoiser_width=8,
+        decoder_widths=(8, 4),
+        time_width=16,
+    )
+    Trainer(TrainingConfig(DataConfig(photos="photos"), network=network)).save(tmp_path / "checkpoint")
+    export_weights(tmp_path / "checkpoint", tmp_path / "tiny.safetensors")
+    monkeypatch.setattr(estimator, "load_network", lambda: load_network(tmp_path / "tiny.safetensors"))
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Options that the estimator of the diffusion model is made with; it finds a bent path."""
+    seen = []
+
+    def make(**options):
+        seen.append(options)
+        return SimpleNamespace(estimate=lambda photo: estimate(BENT))
+
+    monkeypatch.setattr("motdiff.estimators.motdiff.MotDiffEstimator", make)
+    return seen
+
+
+def test_each_method_makes_its_estimator(small_weights):
     needs = {"reference": {"sharp": np.eye(40)}, "gyro": GYRO}
     for method in METHODS:
         name = type(make_estimator(method, **needs.get(method, {}))).__name__
         assert name.lower() == f"{method}estimator"
+    assert type(make_estimator()).__name__ == "MotDiffEstimator"
+
+
+def test_the_diffusion_model_gets_its_options(made):
+    def tick(share):
+        pass
+
+    make_estimator(samples=3, seed=5, progress=tick)
+    make_estimator("motdiff", quick=True)
+    make_estimator("motdiff", quick=False)
+    usual = {"samples": 8, "thorough": True, "seed": 0, "progress": None}
+    assert made == [{**usual, "samples": 3, "seed": 5, "progress": tick}, {**usual, "thorough": False}, usual]
+
+
+def test_a_seed_does_no_harm_to_a_method_that_draws_nothing():
+    make_estimator("pmp", seed=3)
+    make_estimator("point", seed=3)
+
+
+def test_calibration_is_blind_unless_told_otherwise(made):
+    found = calibrate(np.random.default_rng(0).random((50, 60)))
+    assert len(made) == 1
+    assert found.trajectories == (BENT,)
 
 
 def test_a_steady_turn_gives_a_straight_path():
@@ -37,10 +99,17 @@ def test_a_steady_turn_gives_a_straight_path():
 @pytest.mark.parametrize(
     ("method", "options", "message"),
     [
-        ("magic", {}, "method: must be one of pmp"),
+        ("magic", {}, "method: must be one of motdiff, pmp, reference, point, gyro, got 'magic'"),
         ("reference", {}, "sharp: the method"),
         ("gyro", GYRO | {"focal_px": None}, "focal_px: the method"),
         ("pmp", {"sharp": np.eye(40)}, "no use for it"),
+        ("pmp", {"samples": 8}, '^samples: the method "pmp" has no use for it$'),
+        ("reference", {"sharp": np.eye(40), "samples": 8}, '^samples: the method "reference" has no use for it$'),
+        ("point", {"samples": 8}, '^samples: the method "point" has no use for it$'),
+        ("gyro", GYRO | {"samples": 8}, '^samples: the method "gyro" has no use for it$'),
+        ("pmp", {"quick": True}, '^quick: the method "pmp" has no use for it$'),
+        ("motdiff", {"sharp": np.eye(40)}, '^sharp: the method "motdiff" has no use for it$'),
+        ("motdiff", {"samples": 0}, "^samples: must be at least 1, got 0$"),
         ("point", {"start_s": 1.0}, "no use for it"),
     ],
 )
@@ -83,3 +152,54 @@ def test_nothing_is_replaced_or_half_written(tmp_path):
         write_calibration(tmp_path / "m", estimate(BENT.scaled(2)), np.zeros((60, 60, 7)), force=True)
     assert (tmp_path / "m/trajectory.json").read_text() == before
     assert [item.name for item in tmp_path.iterdir()] == ["m"]
+
+
+# ---- the command
+
+
+def test_the_command_is_blind_by_the_diffusion_model_unless_told_otherwise(cep, workplace, made):
+    found = cep.succeeds("calibrate", "blurred.png", "-o", "motion")
+    ((options),) = made
+    assert callable(options.pop("progress"))
+    assert options == {"samples": 8, "thorough": True, "seed": 0}
+    assert found["length_px"] == pytest.approx(BENT.length_px)
+    assert read_motion(workplace / "motion/trajectory.json").source["seed"] == 0
+
+
+def test_the_command_passes_on_samples_seed_and_quick(cep, workplace, made):
+    cep.succeeds("calibrate", "blurred.png", "--samples", "3", "--seed", "7", "--quick", "-o", "motion")
+    ((options),) = made
+    assert (options["samples"], options["thorough"], options["seed"]) == (3, False, 7)
+    assert read_motion(workplace / "motion/trajectory.json").source["seed"] == 7
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--method", "pmp", "--samples", "4"], 'samples: the method "pmp" has no use for it'),
+        (["--method", "pmp", "--quick"], 'quick: the method "pmp" has no use for it'),
+        (["--samples", "0"], "--samples"),
+        (["--sharp", "sharp.png"], 'sharp: the method "motdiff" has no use for it'),
+    ],
+)
+def test_the_command_says_which_method_an_option_is_for(cep, workplace, options, said):
+    assert said in cep.refuses("calibrate", "blurred.png", *options)
+    assert not (workplace / "blurred_motion").exists()
+
+
+def test_a_photo_without_texture_is_refused_before_the_network_is_loaded(cep, workplace, made):
+    from cep.images import write_image
+
+    write_image("grey.png", np.full((80, 90), 0.5))
+    assert "motion shows only where the scene has texture" in cep.refuses("calibrate", "grey.png")
+    assert made == []
+
+
+def test_the_command_runs_a_network(cep, workplace, small_weights, monkeypatch):
+    monkeypatch.setattr("motdiff.estimators.blind.trace_psf_to_trajectory", lambda psf: BENT)  # noise is long to trace
+    found = cep.succeeds("calibrate", "blurred.png", "--quick", "--samples", "1", "-o", "motion")
+    assert found["method"] == "motdiff"
+    assert found["details"]["samples"] == 1
+    assert found["details"]["classical"] == 3
+    assert set(CALIBRATION_FILES) == {item.name for item in (workplace / "motion").iterdir()}
+    assert read_psf(found["psf"]).sum() == pytest.approx(1, rel=1e-5)

@@ -63,20 +63,20 @@ def test_agreement_by_hand():
     point[7, 7] = 1
     across[7, 5], across[7, 10] = 0.5, 0.5
     down[4, 7], down[11, 7] = 0.5, 0.5
-    kernels = [point, across, down, point, across]  # two samples, two quick ones, another
+    kernels = [point, across, down, point, across]  # two samples, two classical ones, another
     evidence = np.arange(15.0).reshape(5, 3)
-    table = features(evidence, kernels, samples=2, quick=2)
+    table = features(evidence, kernels, samples=2, classical=2)
     assert table.shape == (5, len(FEATURES)) == (5, 5)
     np.testing.assert_array_equal(table[:, :3], evidence)
     r = np.sqrt(1 / 2)
     samples = [r, r, (r + 1 / 2) / 2, (1 + r) / 2, (r + 1) / 2]  # the first two without themselves
-    quick = [(r + 1) / 2, (1 / 2 + r) / 2, r, r, (1 / 2 + r) / 2]
-    np.testing.assert_allclose(table[:, 3:].T, [samples, quick], atol=1e-6)
+    classical = [(r + 1) / 2, (1 / 2 + r) / 2, r, r, (1 / 2 + r) / 2]
+    np.testing.assert_allclose(table[:, 3:].T, [samples, classical], atol=1e-6)
 
 
 def test_without_others_there_is_no_agreement():
     kernels = [STRAIGHT.psf(31), bent().psf(31)]
-    one_sample = features(np.zeros((2, 3)), kernels, samples=1, quick=0)
+    one_sample = features(np.zeros((2, 3)), kernels, samples=1, classical=0)
     assert one_sample[0, 3:].tolist() == [0, 0]
     assert one_sample[1, 3] == pytest.approx(mnc_subpixel(*kernels), abs=0.03)
     assert one_sample[1, 4] == 0
@@ -97,7 +97,7 @@ def test_the_photo_believes_the_truth_and_not_what_is_lost(crops):
     truth, lost = bent().psf(63), STRAIGHT.psf(63).T
     blob = np.exp(-0.5 * (np.mgrid[-31:32, -31:32] ** 2).sum(axis=0) / 16)
     kernels = [truth, truth[::-1, ::-1], lost, blob / blob.sum()]
-    believed = probabilities(features(Judge(crops).evidence(kernels), kernels, samples=4, quick=0))
+    believed = probabilities(features(Judge(crops).evidence(kernels), kernels, samples=4, classical=0))
     assert believed.argmax() == 0
     assert believed[0] > 0.7
     assert believed[2:].max() < 0.4

@@ -10,9 +10,9 @@ from motdiff.conditions import QUICK_STARTS, autocorrelation, spectral_maps
 from motdiff.estimators.blind import Found
 from motdiff.estimators.motdiff import MotDiffEstimator, drawing
 from motdiff.estimators.motdiff import estimator as module
-from motdiff.estimators.motdiff.drawing import draw_psfs
+from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
 from motdiff.estimators.pmp import PmpEstimator
-from motdiff.estimators.pmp.estimator import Start
+from motdiff.estimators.pmp.estimator import STARTS, Start
 from motdiff.estimators.pmp.score import noise_sigma
 from motdiff.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.grids import mirrored
@@ -74,10 +74,6 @@ def photo_of(motion, height=128, width=128, *, seed=0):
     sharp = dead_leaves(height + 32, width + 32, seed=seed)
     photo = blur_valid(sharp, motion.psf(33))
     return np.clip(photo + np.random.default_rng(seed).normal(0, 0.005, photo.shape), 0, 1)
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 # ---- networks
@@ -156,30 +152,33 @@ def no_tracing(monkeypatch):
 # ---- drawing
 
 
+def drawn_by(network, crops, *, told=None, count=1, steps=1, seed=0):
+    told = np.zeros((0, 64, 64)) if told is None else told
+    return draw_psfs(network, crops, told, count=count, steps=steps, generator=torch.Generator().manual_seed(seed))
+
+
 def test_every_turn_of_the_photo_is_undone():
     oracle = Oracle(bent())
-    crops = photo_of(bent(), 90, 110)[None]
-    drawn = draw_psfs(oracle, crops, sigma=0.005, count=11, steps=3, generator=seeded())
+    psfs = drawn_by(oracle, photo_of(bent(), 90, 110)[None], count=11, steps=3)
     assert len(oracle.photos) == 8  # once for each symmetry
     assert len({photo.numpy().tobytes() for photo in oracle.photos}) == 8
     assert oracle.steps == [(999, 11), (666, 11), (332, 11)]
     expected = psfs_of_maps(torch.from_numpy(bent().hr_map()).double()).numpy()
-    assert drawn.psfs.shape == (11, 64, 64)
-    np.testing.assert_allclose(drawn.psfs, np.broadcast_to(expected, (11, 64, 64)), atol=1e-6)
-    np.testing.assert_allclose(drawn.psfs.sum(axis=(1, 2)), 1, atol=1e-6)
-    assert drawn.quick.shape == (0, 64, 64)
+    assert psfs.shape == (11, 64, 64)
+    np.testing.assert_allclose(psfs, np.broadcast_to(expected, (11, 64, 64)), atol=1e-6)
+    np.testing.assert_allclose(psfs.sum(axis=(1, 2)), 1, atol=1e-6)
 
 
 def test_one_draw_sees_the_photo_as_it_is():
     oracle = Oracle(bent())
-    draw_psfs(oracle, photo_of(bent(), 90, 110)[None], sigma=0.005, count=1, steps=1, generator=seeded())
+    drawn_by(oracle, photo_of(bent(), 90, 110)[None])
     assert len(oracle.photos) == 1
 
 
 def test_the_network_sees_the_best_crop_at_display_values():
     crops = np.random.default_rng(0).random((2, 300, 280))
     oracle = Oracle(STRAIGHT)
-    draw_psfs(oracle, crops, sigma=0.01, count=1, steps=1, generator=seeded())
+    drawn_by(oracle, crops)
     assert oracle.photos[0].shape == (1, 3, 256, 256)
     for channel in oracle.photos[0][0].double().numpy():
         np.testing.assert_allclose(channel**2.2, crops[0, 22:278, 12:268], atol=1e-6)
@@ -189,7 +188,7 @@ def test_the_network_sees_the_best_crop_at_display_values():
 def test_a_small_crop_is_mirrored_outwards(shape):
     crop = np.random.default_rng(0).random(shape)
     oracle = Oracle(STRAIGHT)
-    draw_psfs(oracle, crop[None], sigma=0.01, count=1, steps=1, generator=seeded())
+    drawn_by(oracle, crop[None])
     rows, columns = (np.abs((np.arange(256) + n - 1) % (2 * n - 2) - n + 1) for n in shape)  # 0 1 .. n-1 n-2 .. 1 0 1
     seen = oracle.photos[0][0, 0].double().numpy() ** 2.2
     np.testing.assert_allclose(seen, crop[rows][:, columns], atol=1e-6)
@@ -212,28 +211,31 @@ class Blind:
         return torch.zeros_like(x_t)
 
 
-def test_physics_maps_turn_with_the_photo(no_search):
-    crops = torch.from_numpy(photo_of(bent(), 96, 96)).float()[None, None]
+def test_physics_maps_turn_with_the_photo():
+    """The turned photo's lags, the turned kernels, and those kernels' own autocorrelations."""
+    crops = np.stack([photo_of(bent(), 96, 96, seed=seed) for seed in (0, 1)])
+    told = np.stack([bent().psf(64), STRAIGHT.psf(64), np.roll(bent().psf(64), 5, axis=1)])
     network = Blind()
-    drawn = draw_psfs(network, crops[0].double().numpy(), sigma=0.005, count=8, steps=1, generator=seeded())
-    assert drawn.quick.shape == (3, 64, 64)
+    drawn_by(network, crops, told=told, count=8)
     inner = (..., slice(1, None), slice(1, None))  # lag -32 has no partner
+    assert len(network.shown) == 8
     for symmetry, maps in enumerate(network.shown):
         assert maps.shape == (1, 8, 64, 64)
-        lags = spectral_maps(mirrored(crops, symmetry, pitch=0))
+        lags = spectral_maps(mirrored(torch.from_numpy(crops).float()[None], symmetry, pitch=0))
         torch.testing.assert_close(maps[:, :1][inner], lags[:, :1][inner], atol=1e-3, rtol=0)
-        kernels = torch.from_numpy(drawn.quick).float()[None]
+        kernels = torch.from_numpy(told).float()[None]
         kernels = mirrored(kernels / kernels.amax(dim=(2, 3), keepdim=True), symmetry, pitch=1)
         torch.testing.assert_close(maps[:, 2:5], kernels)
         torch.testing.assert_close(maps[:, 5:][inner], autocorrelation(kernels)[inner], atol=1e-5, rtol=0)
 
 
 def test_the_quick_searches_share_the_crops_and_their_noise(no_search):
-    crops = np.random.default_rng(0).random((3, 80, 90))
-    draw_psfs(Blind(), crops, sigma=0.02, count=2, steps=1, generator=seeded())
+    found = searched_quickly(np.random.default_rng(0).random((3, 80, 90)), sigma=0.02)
+    assert found.shape == (3, 64, 64)
     assert sorted(no_search, key=lambda call: call[2][0].size) == [
         ((1, 3, 80, 90), 0.02, (start,)) for start in sorted(QUICK_STARTS, key=lambda start: start.size)
     ]
+    assert [int(np.argmax(kernel[33])) for kernel in found] == [27 + start.size // 20 for start in QUICK_STARTS]
 
 
 # ---- an oracle's motion is found
@@ -245,9 +247,9 @@ def shaken():
 
 
 @pytest.mark.parametrize("refine", [False, True])
-def test_an_oracle_s_motion_is_found(monkeypatch, shaken, refine):
-    oracle = Oracle(STRAIGHT)
-    estimate = estimator_with(monkeypatch, oracle, steps=4, refine=refine, fall_back=False).estimate(shaken)
+def test_an_oracle_s_motion_is_found(monkeypatch, no_search, shaken, refine):
+    options = {"thorough": False, "refine": refine, "steps": 4}
+    estimate = estimator_with(monkeypatch, Oracle(STRAIGHT), **options).estimate(shaken)
     truth = STRAIGHT.psf(64)
     assert mnc_subpixel(estimate.psf, truth) > 0.98
     assert mnc_subpixel(estimate.trajectories[0].psf(), truth) > 0.95
@@ -259,53 +261,47 @@ def test_an_oracle_s_motion_is_found(monkeypatch, shaken, refine):
     assert estimate.psf.sum() == pytest.approx(1)
     assert estimate.psf.min() >= 0
     details = dict(estimate.details)
-    assert details.pop("chosen") in ("sample", "mean", *(["refined"] if refine else []))
+    assert details.pop("chosen") in ("sample", "mean of samples")
     assert details.pop("trajectory_psf_mnc") > 0.9
     assert details.pop("sample_agreement") == pytest.approx(1, abs=1e-3)
-    assert details == {"crops": 1, "scale": 1.0, "samples": 8, "quick": 0, "steps": 4}
+    assert details == {"crops": 1, "scale": 1.0, "samples": 8, "classical": 3, "steps": 4}
 
 
-def test_refinement_finds_the_dwell_that_the_network_does_not_know(monkeypatch):
+def test_refinement_finds_the_dwell_that_the_network_does_not_know(monkeypatch, no_search):
     """The map of a path says nothing of the time spent on it; the photo does."""
     photo, truth = photo_of(bent(), 144, 144), bent().psf(64)
-    psfs = {
-        refine: estimator_with(monkeypatch, Oracle(bent()), samples=1, steps=2, refine=refine, fall_back=False)
-        .estimate(photo)
-        .psf
-        for refine in (False, True)
-    }
-    assert 0.8 < mnc_subpixel(psfs[False], truth) < 0.95
-    assert mnc_subpixel(psfs[True], truth) > 0.97
+    likeness = {}
+    for refine in (False, True):
+        options = {"thorough": False, "samples": 1, "steps": 2, "refine": refine}
+        estimate = estimator_with(monkeypatch, Oracle(bent()), **options).estimate(photo)
+        likeness[refine] = mnc_subpixel(estimate.psf, truth)
+    assert 0.8 < likeness[False] < 0.95
+    assert likeness[True] > 0.97
 
 
 @pytest.mark.parametrize("refine", [False, True])
-def test_what_a_network_is_nearly_sure_of_is_exactly_0(monkeypatch, refine):
+def test_what_a_network_is_nearly_sure_of_is_exactly_0(monkeypatch, no_search, refine):
     """Its probabilities never are; light all over the frame would be taken for a blur that outgrows it."""
-    network = Oracle(STRAIGHT, logit=6.0)
-    estimator = estimator_with(monkeypatch, network, samples=2, steps=2, refine=refine, fall_back=False)
-    asked = []
-    search = estimator.search
-    monkeypatch.setattr(estimator, "search", lambda crops: asked.append(crops.shape) or search(crops))
+    options = {"thorough": False, "samples": 2, "steps": 2, "refine": refine}
+    estimator = estimator_with(monkeypatch, Oracle(STRAIGHT, logit=6.0), **options)
     estimate = estimator.estimate(photo_of(STRAIGHT, 200, 200))
-    assert asked == [(1, 200, 200)]
+    assert {call[0] for call in no_search} == {(1, 1, 200, 200)}  # not once more at half size
     rows, columns = np.nonzero(estimate.psf)
     assert np.ptp(columns) < 20
     assert np.ptp(rows) < 15
     assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.98
 
 
-def test_candidates_are_the_draws_the_quick_kernels_and_the_draws_mean():
-    psfs = np.zeros((3, 64, 64))
-    for i in range(3):
-        psfs[i, 32, 32 + i], psfs[i, 0, 5] = 0.75, 0.25
-    drawn = drawing.Drawn(psfs[:2], psfs[2:])
-    kernels = module._candidates(drawn)
-    assert [kernel.shape for kernel in kernels] == [(63, 63)] * 4
-    lit = [[[31, 31]], [[31, 32]], [[31, 33]], [[31, 31], [31, 32]]]
-    assert [np.argwhere(kernel).tolist() for kernel in kernels] == lit
-    assert [kernel.sum() for kernel in kernels] == pytest.approx([1, 1, 1, 1])
-    origins = [module._origin(i, samples=2, quick=1) for i in range(6)]
-    assert origins == ["sample", "sample", "quick", "mean", "refined", "refined"]
+def test_candidates_come_in_odd_frames_with_their_zero_in_the_middle():
+    psfs = np.zeros((2, 64, 64))
+    psfs[0, 32, 32], psfs[0, 0, 5] = 0.75, 0.25  # what lies on the first row has no place
+    psfs[1, 30, 36], psfs[1, 31, 36], psfs[1, 63, 63] = 0.98, 0.03, 0.01  # the last is doubt
+    one, other = module._in_odd_frames(psfs)
+    assert one.shape == other.shape == (63, 63)
+    assert np.argwhere(one).tolist() == [[31, 31]]
+    assert np.argwhere(other).tolist() == [[29, 35], [30, 35]]
+    assert one.sum() == pytest.approx(1)
+    assert other.sum() == pytest.approx(1)
 
 
 def test_only_distinct_candidates_are_refined():
@@ -313,29 +309,148 @@ def test_only_distinct_candidates_are_refined():
         Trajectory.straight(length, angle_rad=angle).psf(63) for length, angle in ((12, 0), (13, 0), (12, 1.5))
     )
     kernels = [straight, longer, upright, straight, np.eye(63) / 63]
-    assert module._distinct(kernels, np.array([3, 1, 2, 0, 4]), most=3) == [3, 2, 4]
-    assert module._distinct(kernels, np.array([3, 1, 2, 0, 4]), most=2) == [3, 2]
-    assert module._distinct(kernels, np.array([0, 1, 3]), most=3) == [0]
+    assert module._distinct(kernels, [3, 1, 2, 0, 4], most=3) == [3, 2, 4]
+    assert module._distinct(kernels, [3, 1, 2, 0, 4], most=2) == [3, 2]
+    assert module._distinct(kernels, [0, 1, 3], most=3) == [0]
+
+
+# ---- the network and the classical searches
+
+
+class FakePmp:
+    """Classical searches with known results, one per start, in frames as large as the photo lets them be."""
+
+    motions = (STRAIGHT,) * len(STARTS)
+    asked = 0
+
+    def __init__(self, *, progress):
+        self.progress = progress
+
+    def kernels(self, crops):
+        FakePmp.asked += 1
+        self.progress(0.4)
+        self.progress(0.8)
+        return [motion.psf(start.size) for motion, start in zip(self.motions, STARTS, strict=True)]
+
+
+@pytest.fixture
+def classical(monkeypatch):
+    monkeypatch.setattr(module, "PmpEstimator", FakePmp)
+    monkeypatch.setattr(FakePmp, "asked", 0)
+
+    def finds(*motions):
+        monkeypatch.setattr(FakePmp, "motions", motions)
+
+    return finds
+
+
+LOST = (Trajectory.straight(9.0, angle_rad=2.2), Trajectory.straight(20.0, angle_rad=1.4))
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_a_classical_kernel_is_the_result_where_the_photo_believes_it_more(monkeypatch, classical, shaken, refine):
+    classical(LOST[0], LOST[0], STRAIGHT, LOST[0], LOST[0])
+    options = {"samples": 2, "steps": 2, "refine": refine}
+    estimate = estimator_with(monkeypatch, Oracle(LOST[1]), **options).estimate(shaken)
+    assert estimate.details["chosen"] == "classical"
+    assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.95
+    assert estimate.details["classical"] == len(STARTS)
+    assert estimate.method == "motdiff"
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_the_network_s_motion_is_the_result_where_the_photo_believes_it_more(monkeypatch, classical, shaken, refine):
+    classical(*[LOST[0]] * len(STARTS))
+    options = {"samples": 2, "steps": 2, "refine": refine}
+    estimate = estimator_with(monkeypatch, Oracle(STRAIGHT), **options).estimate(shaken)
+    assert estimate.details["chosen"] in ("sample", "mean of samples")
+    assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.95
+
+
+def test_the_mean_of_the_draws_and_the_likeliest_classical_kernel_are_always_refined(monkeypatch, classical, shaken):
+    """The draws alone would fill all places: they are four, unlike, and believed more."""
+    motions = [Trajectory.straight(16.0, angle_rad=angle) for angle in (0.3, 0.9, 1.5, 2.1)]
+    classical(*LOST, *LOST, LOST[0])
+    psfs = np.stack([motion.psf(64) for motion in motions])
+    monkeypatch.setattr(module, "draw_psfs", lambda *_, **__: psfs)
+    believed = np.r_[np.full(4, 0.9), 0.1, 0.3, 0.2, 0.2, 0.2, 0.0]
+    monkeypatch.setattr(module, "probabilities", lambda rows: np.r_[believed, np.arange(len(rows) - 10) / 10])
+    refined = []
+    monkeypatch.setattr(module, "_refined", lambda _crops, kernel, _sigma: refined.append(kernel) or kernel)
+    monkeypatch.setattr("motdiff.parallel.os.cpu_count", lambda: 1)  # one after the other
+    found = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=4).search(shaken[None])
+    assert len(refined) == 4
+    assert len(found.kernels) == 4 + 5 + 1 + 4
+    assert mnc_subpixel(refined[0], psfs.mean(axis=0)) > 0.99
+    assert mnc_subpixel(refined[1], LOST[1].psf(63)) > 0.99
+    assert found.best == 13  # the last of the refined ones
+
+
+def test_the_network_is_told_of_three_full_searches_smallest_frame_first(monkeypatch, classical, shaken):
+    """As in its training: frames of 29, 39 and 53 px, of the photo as it is, zero displacement at index 32."""
+    motions = [Trajectory.straight(float(i + 5), angle_rad=0.3) for i in range(len(STARTS))]
+    classical(*motions)
+    network = Blind()
+    options = {"samples": 1, "steps": 1, "refine": False}
+    estimator_with(monkeypatch, network, **options).search(shaken[None])
+    told = [(29, 0), (39, 0), (53, 0)]
+    index = [[(start.size, start.quarter_turns) for start in STARTS].index(wanted) for wanted in told]
+    for kernel, i in zip(network.shown[0][0, 2:5].numpy(), index, strict=True):
+        np.testing.assert_allclose(kernel, motions[i].psf(64) / motions[i].psf(64).max(), atol=1e-6)
+    assert [start.size for start in QUICK_STARTS] == [29, 39, 53]
+
+
+def test_the_real_searches_fit(monkeypatch):
+    """One start of each kind, on a small photo: their frames shrink with it."""
+    monkeypatch.setattr(module, "PmpEstimator", partial(PmpEstimator, starts=(Start(21, sparsity=1.0), Start(99))))
+    monkeypatch.setattr(module, "_TOLD", (0, 1, 0))
+    network = Blind()
+    options = {"samples": 1, "steps": 1, "refine": False}
+    found = estimator_with(monkeypatch, network, **options).search(photo_of(STRAIGHT, 64, 64)[None])
+    assert len(found.kernels) == 1 + 2 + 1
+    assert network.shown[0].shape == (1, 8, 64, 64)
+    assert np.ptp(np.nonzero(found.kernels[1]), axis=1).max() < 21
+    assert all(kernel.sum() == pytest.approx(1) for kernel in found.kernels)
+
+
+def test_the_quick_way_asks_no_full_search(monkeypatch, classical, no_search, shaken):
+    options = {"thorough": False, "samples": 1, "steps": 1, "refine": False}
+    found = estimator_with(monkeypatch, Blind(), **options).search(shaken[None])
+    assert FakePmp.asked == 0
+    assert found.details["classical"] == len(QUICK_STARTS)
+    assert {call[1] for call in no_search} == {noise_sigma(shaken)}
+
+
+def test_kernels_that_the_photo_does_not_believe_are_said_to_be_lost(monkeypatch, classical, shaken):
+    monkeypatch.setattr(module, "probabilities", lambda rows: np.full(len(rows), 0.3))
+    options = {"samples": 1, "steps": 1, "refine": False}
+    estimate = estimator_with(monkeypatch, Oracle(STRAIGHT), **options).estimate(shaken)
+    (lost,) = estimate.warnings
+    assert lost.startswith("the blind estimate is probably lost (confidence 0.30)")
+    assert estimate.confidence == 0.3
 
 
 # ---- real networks, never trained
 
 
 def test_the_same_photo_and_seed_give_the_same_estimate(physics_only, no_tracing, shaken):
-    options = {"weights": physics_only, "samples": 2, "steps": 2, "fall_back": False, "seed": 4}
+    options = {"weights": physics_only, "thorough": False, "samples": 2, "steps": 2, "seed": 4}
     first, again = (MotDiffEstimator(**options).estimate(shaken[:72, :80]) for _ in range(2))
     np.testing.assert_array_equal(first.psf, again.psf)
     assert (first.confidence, first.details, first.weights) == (again.confidence, again.details, again.weights)
-    assert first.details["quick"] == 3
+    assert first.details["classical"] == 3
 
 
 def test_another_seed_gives_other_draws(physics_only, no_search, shaken):
-    options = {"weights": physics_only, "samples": 3, "steps": 2, "fall_back": False, "refine": False}
+    options = {"weights": physics_only, "thorough": False, "samples": 3, "steps": 2, "refine": False}
     one, same, other = (MotDiffEstimator(**options, seed=seed).search(shaken[None]).kernels[:3] for seed in (4, 4, 5))
     for i in range(3):
         np.testing.assert_array_equal(one[i], same[i])
         assert np.abs(one[i] - other[i]).max() > 1e-3 * one[i].max()
         assert all(np.abs(one[i] - one[j]).max() > 1e-3 * one[i].max() for j in range(i))
+
+
+CHEAP = {"thorough": False, "samples": 1, "steps": 1, "refine": False}
 
 
 @pytest.mark.parametrize(
@@ -349,8 +464,7 @@ def test_another_seed_gives_other_draws(physics_only, no_search, shaken):
     ],
 )
 def test_photos_of_any_size(physics_only, no_search, no_tracing, shape, expected):
-    options = {"samples": 1, "steps": 1, "refine": False, "fall_back": False}
-    estimate = MotDiffEstimator(weights=physics_only, **options).estimate(dead_leaves(*shape))
+    estimate = MotDiffEstimator(weights=physics_only, **CHEAP).estimate(dead_leaves(*shape))
     searched = no_search[: len(QUICK_STARTS)]
     assert {call[0] for call in searched} == {(1, *expected)}
     assert estimate.psf.sum() == pytest.approx(1)
@@ -360,16 +474,14 @@ def test_photos_of_any_size(physics_only, no_search, no_tracing, shape, expected
 
 
 def test_at_most_so_many_crops_as_asked_for(physics_only, no_search, no_tracing):
-    options = {"samples": 1, "steps": 1, "refine": False, "fall_back": False, "crops": 2}
-    MotDiffEstimator(weights=physics_only, **options).estimate(dead_leaves(500, 700))
+    MotDiffEstimator(weights=physics_only, crops=2, **CHEAP).estimate(dead_leaves(500, 700))
     assert {call[0] for call in no_search[:3]} == {(1, 2, 256, 256)}
 
 
 def test_a_network_of_photo_and_physics(weights_of, no_search, no_tracing):
     weights = weights_of("b0")
-    options = {"samples": 1, "steps": 1, "refine": False, "fall_back": False}
-    estimate = MotDiffEstimator(weights=weights, **options).estimate(dead_leaves(200, 300))
-    assert estimate.details["quick"] == 3
+    estimate = MotDiffEstimator(weights=weights, **CHEAP).estimate(dead_leaves(200, 300))
+    assert estimate.details["classical"] == 3
     assert estimate.psf.sum() == pytest.approx(1)
     assert np.isfinite(estimate.psf).all()
     # of two photos with the same quick kernels it draws different paths
@@ -386,85 +498,6 @@ def test_each_crop_alone_is_searched_once(physics_only, no_search):
     assert sorted(call[1] for call in no_search) == sorted(noise_sigma(crop) for crop in crops)
     assert {(call[0], call[2]) for call in no_search} == {((1, 1, 80, 80), QUICK_STARTS[:1])}
     assert all(single.sum() == pytest.approx(1) for single in singles)
-
-
-# ---- falling back
-
-
-class FakePmp:
-    """The classical search; notes that it was asked."""
-
-    asked = 0
-    kernel = Trajectory.straight(20.0, angle_rad=1.2).psf(39)
-    confidence = 0.45
-
-    def search(self, crops):
-        FakePmp.asked += 1
-        return Found((self.kernel,), np.array([FakePmp.confidence]), 0, {"starts": 5, "agreement": 0.9})
-
-
-@pytest.fixture
-def falling(monkeypatch, shaken):
-    """Runs the estimator with given confidences of the network's kernels and of the classical search."""
-
-    def run(network, classical, **options):
-        FakePmp.asked, FakePmp.confidence = 0, classical
-        monkeypatch.setattr(module, "PmpEstimator", FakePmp)
-        monkeypatch.setattr(module, "probabilities", lambda rows: np.full(len(rows), network))
-        estimator = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=1, steps=1, refine=False, **options)
-        return estimator.estimate(shaken)
-
-    return run
-
-
-WARNING = "the network's motions do not explain the photo well: this one is the classical search's (pmp)"
-
-
-def test_where_the_photo_does_not_believe_the_network_the_classical_search_is_asked(falling):
-    estimate = falling(0.3, 0.7)
-    assert FakePmp.asked == 1
-    assert estimate.method == "motdiff"
-    assert mnc_subpixel(estimate.psf, FakePmp.kernel) == pytest.approx(1)
-    assert estimate.confidence == 0.7
-    assert estimate.warnings == (WARNING,)
-    assert estimate.details["fell_back_to"] == "pmp"
-    assert estimate.details["samples"] == 1
-
-
-def test_a_classical_result_that_is_lost_too_says_both(falling):
-    estimate = falling(0.3, 0.4)
-    assert estimate.warnings[0] == WARNING
-    assert "probably lost (confidence 0.40)" in estimate.warnings[1]
-    assert estimate.details["fell_back_to"] == "pmp"
-
-
-@pytest.mark.parametrize("classical", [0.2, 0.3])
-def test_the_network_is_kept_where_the_photo_believes_the_classical_search_no_more(falling, classical):
-    estimate = falling(0.3, classical)
-    assert FakePmp.asked == 1
-    assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.98
-    assert estimate.confidence == 0.3
-    assert WARNING not in estimate.warnings
-    assert "fell_back_to" not in estimate.details
-
-
-@pytest.mark.parametrize(("network", "options"), [(0.5, {}), (0.9, {}), (0.3, {"fall_back": False})])
-def test_the_classical_search_is_not_asked_without_need_or_leave(falling, network, options):
-    estimate = falling(network, 0.95, **options)
-    assert FakePmp.asked == 0
-    assert estimate.confidence == network
-    assert "fell_back_to" not in estimate.details
-
-
-def test_the_real_classical_search_fits(monkeypatch, shaken):
-    """Its kernels come in frames of other sizes."""
-    monkeypatch.setattr(module, "PmpEstimator", partial(PmpEstimator, starts=(Start(21, sparsity=1.0),)))
-    monkeypatch.setattr(module, "probabilities", lambda rows: np.full(len(rows), 0.01))
-    estimator = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=1, steps=1, refine=False)
-    estimate = estimator.estimate(shaken)
-    assert estimate.details["fell_back_to"] == "pmp"
-    assert estimate.warnings[0] == WARNING
-    assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.8
 
 
 # ---- options, refusals, progress
@@ -498,14 +531,12 @@ def test_missing_weights_are_named(tmp_path):
         MotDiffEstimator(weights=tmp_path / "none.safetensors")
 
 
-@pytest.mark.parametrize("fall_back", [False, True])
-def test_progress_rises_to_one(monkeypatch, shaken, fall_back):
+@pytest.mark.parametrize("thorough", [False, True])
+def test_progress_rises_to_one(monkeypatch, classical, no_search, shaken, thorough):
     seen = []
-    monkeypatch.setattr(module, "PmpEstimator", FakePmp)
-    monkeypatch.setattr(module, "probabilities", lambda rows: np.full(len(rows), 0.3))
-    options = {"samples": 1, "steps": 1, "refine": False, "fall_back": fall_back, "progress": seen.append}
+    options = {"thorough": thorough, "samples": 1, "steps": 1, "refine": False, "progress": seen.append}
     estimator_with(monkeypatch, Oracle(STRAIGHT), **options).estimate(shaken)
-    assert seen == ([0.5, 0.6, 1.0] if fall_back else [0.5, 1.0])
+    assert seen == pytest.approx([0.28, 0.56, 0.7, 1.0] if thorough else [0.7, 1.0])
 
 
 # ---- the network alone, as the paper measures it
@@ -518,10 +549,11 @@ def oracle_weights(monkeypatch):
     return oracle
 
 
-def test_the_network_alone_is_one_draw_as_it_is(oracle_weights):
+def test_the_network_alone_is_one_draw_as_it_is(oracle_weights, no_search):
     photo = photo_of(bent(), 100, 120)
     estimate = NetworkAlone(steps=3).estimate(photo)
     assert len(oracle_weights.photos) == 1
+    assert no_search == []  # it takes no physics maps
     assert oracle_weights.steps == [(999, 1), (666, 1), (332, 1)]
     np.testing.assert_allclose(estimate.psf, psfs_of_maps(torch.from_numpy(bent().hr_map()).double()), atol=1e-6)
     assert mnc_subpixel(estimate.trajectories[0].psf(), bent().psf(64)) > 0.85
@@ -546,7 +578,13 @@ def test_samplers_are_named_with_their_steps(oracle_weights, shaken):
     assert calls == {"network": 10, "network:ddpm:4": 4, "network:dpm++2m:2": 2}
 
 
-@pytest.mark.parametrize("name", ["network:ddpm", "network:ddpm:many", "network:ddpm:4:5", "motdiff:3", "pmp:1"])
+def test_the_quick_way_has_rows_of_its_own(oracle_weights, monkeypatch):
+    monkeypatch.setattr(module, "load_network", lambda: oracle_weights)
+    made = named_estimators(["motdiff", "motdiff-quick"])
+    assert {name: estimator._thorough for name, estimator in made.items()} == {"motdiff": True, "motdiff-quick": False}
+
+
+@pytest.mark.parametrize("name", ["network:ddpm", "network:ddpm:x", "network:ddpm:4:5", "motdiff:3", "pmp:1"])
 def test_other_names_are_refused(oracle_weights, name):
     with pytest.raises(ValueError, match=r"^method: must be network or network:SAMPLER:STEPS, got "):
         named_estimators([name])

@@ -224,7 +224,8 @@ def test_bf16_keeps_the_weights_in_full_precision():
 
 
 def test_the_total_is_the_path_loss_and_the_weighted_dwell_loss():
-    (told,) = train(Trainer(VARIANTS["dwell"]), 1)
+    whole_field = replace(SMALL_WINDOW, window=64)
+    (told,) = train(Trainer(config(network=replace(TINY, dwell=True), dwell=0.5, optimiser=whole_field)), 1)
     assert told.dwell > 0
     assert told.total == pytest.approx(told.path + 0.5 * told.dwell, rel=1e-6)
     (told,) = train(Trainer(VARIANTS["plain"]), 1)
