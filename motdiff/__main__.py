@@ -1,4 +1,4 @@
-"""``python -m motdiff``: train, prepare, pack, eval, sample."""
+"""``python -m motdiff``: train, prepare, pack, sample, eval, export."""
 
 import sys
 

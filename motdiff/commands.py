@@ -29,7 +29,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         prog="python -m motdiff", epilog=_EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for add in (_add_train, _add_prepare, _add_pack, _add_export, _add_eval):
+    for add in (_add_train, _add_prepare, _add_pack, _add_export, _add_sample, _add_eval):
         add(commands)
     given = parser.parse_args(arguments)
     command: Callable[[argparse.Namespace], None] = given.command
@@ -171,6 +171,42 @@ def _export(given: argparse.Namespace) -> None:
     card = None if given.card is None else json.loads(given.card.read_text(encoding="utf-8"))
     size = export_weights(given.run / "checkpoint", given.out, offset=given.offset, card=card)
     print(f"{given.out}: {size / 2**20:.1f} MiB", file=sys.stderr)  # noqa: T201
+
+
+def _add_sample(commands: _Commands[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser("sample", help="draw motions from one blurred photo and show them as they are")
+    parser.add_argument("photo", type=Path, help="its middle 256 x 256 px are looked at")
+    parser.add_argument("-o", "--out", type=Path, required=True, help=".png file: the photo and the drawn PSFs")
+    parser.add_argument("--weights", type=Path, help="the shipped ones when omitted")
+    parser.add_argument("--count", type=int, default=8)
+    parser.add_argument("--steps", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.set_defaults(command=_sample)
+
+
+def _sample(given: argparse.Namespace) -> None:
+    import cv2
+    import torch
+
+    from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
+    from motdiff.estimators.pmp.score import noise_sigma
+    from motdiff.evaluation.pictures import drawn_sheet
+    from motdiff.files import write_bytes_atomically
+    from motdiff.simulate import to_linear
+    from motdiff.weights import DEFAULT_WEIGHTS, load_network
+
+    image = cv2.imread(str(given.photo), cv2.IMREAD_GRAYSCALE)
+    if image is None or min(image.shape) < 256:
+        raise ValueError(f"{given.photo}: must be a photo of at least 256 x 256 px")
+    if given.count < 1:
+        raise ValueError(f"--count: must be at least 1, got {given.count}")
+    top, left = ((n - 256) // 2 for n in image.shape)
+    light = to_linear(image[top : top + 256, left : left + 256] / 255)[None]
+    told = searched_quickly(light, sigma=noise_sigma(light[0]))
+    generator = torch.Generator().manual_seed(given.seed)
+    network = load_network(given.weights or DEFAULT_WEIGHTS)
+    psfs = draw_psfs(network, light, told, count=given.count, steps=given.steps, generator=generator)
+    write_bytes_atomically(given.out, drawn_sheet(light[0], told, psfs))
 
 
 def _add_eval(commands: _Commands[argparse.ArgumentParser]) -> None:

@@ -16,7 +16,7 @@ from motdiff.metrics import mnc_subpixel, register_shift
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["contact_sheet", "reliability_plot"]
+__all__ = ["contact_sheet", "drawn_sheet", "reliability_plot"]
 
 FloatArray = NDArray[np.float64]
 
@@ -77,6 +77,26 @@ def contact_sheet(cases: Sequence[Case], kernels: Mapping[str, Mapping[str, Floa
             axes.set_xlabel(f"{mnc_subpixel(psf, case.psf):.2f}", fontsize=7, labelpad=1)
     for axes, name in zip(grid[0], columns, strict=True):
         axes.set_title(name, fontsize=8)
+    return _png(figure)
+
+
+def drawn_sheet(photo: FloatArray, told: FloatArray, psfs: FloatArray) -> bytes:
+    """Lay out a photo, the kernels the network was told of, and the PSFs it drew, as PNG; PSFs by the square root.
+
+    Parameters
+    ----------
+    photo : (H, W) float, linear light
+    told : (Q, 64, 64) float
+    psfs : (K, 64, 64) float
+    """
+    titles = ["photo", *["classical"] * len(told), *[f"draw {i + 1}" for i in range(len(psfs))]]
+    figure = _figure(_TILE_IN * len(titles), _TILE_IN + 0.3)
+    pictures = [np.clip(photo, 0, 1) ** (1 / 2.2), *np.sqrt(told), *np.sqrt(psfs)]
+    for place, (title, picture) in enumerate(zip(titles, pictures, strict=True)):
+        axes = figure.add_subplot(1, len(titles), place + 1)
+        axes.imshow(picture, cmap="gray")
+        axes.set_title(title, fontsize=8)
+        axes.set_axis_off()
     return _png(figure)
 
 

@@ -17,7 +17,7 @@ FEATURES = ("spectral_fit", "phase_evidence", "rim_light", "sample_agreement", "
 
 # Fitted on simulated photos of the training set's held-out scenes, see docs/decisions.md
 _WEIGHTS = np.array([0.8, 2.0, -1.0, 0.2, 0.2])
-_SLOPE, _OFFSET = 8.3, -5.15
+_SLOPE, _OFFSET = 14.7, -9.5
 
 
 def features(evidence: FloatArray, kernels: Sequence[FloatArray], *, samples: int, classical: int) -> FloatArray:

@@ -402,12 +402,16 @@ def test_a_small_network_learns_eight_photos():
                 TINY, physics_width=16, denoiser_width=32, decoder_widths=(32, 16), time_width=128, dropout=0.0
             ),
             optimiser=OptimiserConfig(
-                steps=240, batch=8, rate=1.2e-2, last_rate=1e-5, warm_up=20, ema=0.98, window=32, seed=0
+                steps=220, batch=8, rate=1.2e-2, last_rate=1e-5, warm_up=20, ema=0.98, window=32, seed=0
             ),
             path_weight=1.0,
         )
     )
-    train(trainer, 240, Eight())
+    torch.set_flush_denormal(True)  # what is left of dead channels costs a fifth of the time
+    try:
+        train(trainer, 220, Eight())
+    finally:
+        torch.set_flush_denormal(False)
     with torch.no_grad():
         condition = trainer.average.condition(None, physics)
     drawn = sample_paths(trainer.average, condition, count=1, schedule=trainer.schedule, steps=10, generator=draw)
