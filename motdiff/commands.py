@@ -14,10 +14,10 @@ __all__ = ["run"]
 _EXAMPLES = """\
 examples:
   python -m motdiff pack photos/ photos.zip            # sharp photos, to travel to another machine
-  python -m motdiff train configs/gpu.toml -o run      # again: goes on where it stopped
-  torchrun --nproc-per-node 4 -m motdiff train configs/gpu.toml -o run
-  python -m motdiff prepare configs/cpu.toml -o samples --shards 0:100
-  python -m motdiff train configs/cpu.toml -o run --minutes 30
+  python -m motdiff train motdiff/configs/gpu.toml -o run      # again: goes on where it stopped
+  torchrun --nproc-per-node 4 -m motdiff train motdiff/configs/gpu.toml -o run
+  python -m motdiff prepare motdiff/configs/cpu.toml -o samples --shards 0:100
+  python -m motdiff train motdiff/configs/cpu.toml -o run --minutes 30
   python -m motdiff export run -o motdiff.safetensors
   python -m motdiff eval --set paper --set gyro --photos photos/ --gyro gyro.txt --weights motdiff.safetensors
 """
@@ -37,7 +37,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         command(given)
     except (ValueError, FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError) as error:
         return _told(error, 2)
-    except (OSError, FloatingPointError) as error:
+    except (OSError, FloatingPointError, RuntimeError) as error:
         return _told(error, 1)
     except KeyboardInterrupt:
         return _told("stopped", 130)
@@ -169,6 +169,8 @@ def _export(given: argparse.Namespace) -> None:
     from motdiff.weights import export_weights
 
     card = None if given.card is None else json.loads(given.card.read_text(encoding="utf-8"))
+    if not isinstance(card, dict | None):
+        raise ValueError(f"{given.card}: must hold a JSON object")
     size = export_weights(given.run / "checkpoint", given.out, offset=given.offset, card=card)
     print(f"{given.out}: {size / 2**20:.1f} MiB", file=sys.stderr)  # noqa: T201
 
@@ -195,13 +197,15 @@ def _sample(given: argparse.Namespace) -> None:
     from motdiff.simulate import to_linear
     from motdiff.weights import DEFAULT_WEIGHTS, load_network
 
-    image = cv2.imread(str(given.photo), cv2.IMREAD_GRAYSCALE)
-    if image is None or min(image.shape) < 256:
-        raise ValueError(f"{given.photo}: must be a photo of at least 256 x 256 px")
+    image = cv2.imread(str(given.photo)) if given.photo.is_file() else None
+    if image is None:
+        raise ValueError(f"{given.photo}: no such photo, or it cannot be read")
+    if min(image.shape[:2]) < 256:
+        raise ValueError(f"{given.photo}: must have at least 256 x 256 px, has {image.shape[1]} x {image.shape[0]}")
     if given.count < 1:
         raise ValueError(f"--count: must be at least 1, got {given.count}")
-    top, left = ((n - 256) // 2 for n in image.shape)
-    light = to_linear(image[top : top + 256, left : left + 256] / 255)[None]
+    top, left = ((n - 256) // 2 for n in image.shape[:2])
+    light = to_linear(image[top : top + 256, left : left + 256] / 255).mean(axis=2)[None]
     told = searched_quickly(light, sigma=noise_sigma(light[0]))
     generator = torch.Generator().manual_seed(given.seed)
     network = load_network(given.weights or DEFAULT_WEIGHTS)
@@ -219,7 +223,8 @@ def _add_eval(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.add_argument("--levin", type=Path, metavar="DIR", help="Levin's .mat files: adds the set levin")
     parser.add_argument(
         "--method", dest="methods", action="append", default=[], metavar="METHOD",
-        help="pmp or motdiff; repeatable; pmp, and motdiff where there are --weights",
+        help="pmp, motdiff, motdiff-quick, network (one draw as it is) or network:SAMPLER:STEPS; repeatable; "
+        "pmp and motdiff when omitted",
     )  # fmt: skip
     parser.add_argument(
         "--weights", type=Path, action="append", default=[], metavar="FILE",
@@ -247,7 +252,7 @@ def _eval(given: argparse.Namespace) -> None:
         raise ValueError("--set: name at least one of paper, boracchi-foi and gyro, or give --levin DIR")
     if given.sets and given.photos is None:
         raise ValueError("--photos: the simulated sets need sharp photos, a folder or a pack")
-    methods = given.methods or (["pmp", "motdiff"] if given.weights else ["pmp"])
+    methods = given.methods or ["pmp", "motdiff"]
     estimators = named_estimators(methods, given.weights)
     sets = [] if given.levin is None else [levin_set(given.levin)]
     if given.sets:

@@ -76,13 +76,18 @@ def mean_kernel(mix: MotionMix, *, seed: int, count: int = _OTHERS) -> FloatArra
 def path_kernel(trajectory: Trajectory) -> FloatArray:
     """PSF (64, 64), sum 1, of the path as a binary map: what a perfect estimate without dwell can reach.
 
+    Seen through the bilinear hat of each PSF pixel, as the trajectory's own PSF is.
+
     Raises
     ------
     ValueError
         If the path leaves the 64-px field.
     """
-    boxes = trajectory.hr_map().reshape(PSF_PX, 4, PSF_PX, 4).mean(axis=(1, 3))
-    return np.asarray(boxes / boxes.sum(), dtype=np.float64)
+    import torch
+
+    from motdiff.sampling import psfs_of_maps
+
+    return np.asarray(psfs_of_maps(torch.from_numpy(trajectory.hr_map().astype(np.float64))), dtype=np.float64)
 
 
 def floors(mean: FloatArray | None = None) -> dict[str, FloatArray]:

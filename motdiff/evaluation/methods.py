@@ -30,8 +30,15 @@ class NetworkAlone:
     """
 
     def __init__(self, weights: Path | None = None, *, sampler: str = "ddim", steps: int = 10, seed: int = 0) -> None:
+        import torch
+
+        from motdiff.diffusion import cosine_schedule, samples
         from motdiff.weights import load_network
 
+        # refuses an unknown sampler or number of steps now, not at every photo
+        samples(
+            lambda x, _t: x, (1,), schedule=cosine_schedule(), steps=steps, generator=torch.Generator(), method=sampler
+        )
         self._network = load_network() if weights is None else load_network(weights)
         self._sampler, self._steps, self._seed = sampler, steps, seed
 

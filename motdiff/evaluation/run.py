@@ -163,7 +163,7 @@ def evaluate(
                         row = measured.row
                         table.write(csv_line(getattr(row, f.name) for f in fields(Row)))
                         outcome.rows.append(row)
-                        if measured.psf is not None and seen[-1] is case:
+                        if measured.psf is not None and any(shown_case is case for shown_case in seen):
                             by_method = outcome.kernels.setdefault(case_set.name, {})
                             by_method.setdefault(row.method, {})[case.name] = measured.psf
                         if row.method in estimators:

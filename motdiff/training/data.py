@@ -5,7 +5,6 @@ A batch depends on the seed, the step and the process's rank alone, so that a ru
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -165,4 +164,4 @@ def seed_of(*numbers: int) -> int:
     for number in numbers:
         mixed = (mixed ^ (number & 0xFFFFFFFFFFFFFFFF)) * 0xBF58476D1CE4E5B9 & 0xFFFFFFFFFFFFFFFF
         mixed ^= mixed >> 31
-    return mixed % math.floor(2**62)
+    return mixed % 2**62

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import sys
 from pathlib import Path
 
+from motdiff.files import write_bytes_atomically
 from motdiff.training.loop import Losses
 
 __all__ = ["RunLog", "read_log"]
@@ -105,7 +107,9 @@ class RunLog:
         right = left.twinx()
         right.plot(*_curve(rows, "validation_mnc"), "o-", color="C1", markersize=3)
         right.set_ylabel("validation MNC", color="C1")
-        figure.savefig(self._folder / "progress.png", dpi=120)
+        picture = io.BytesIO()
+        figure.savefig(picture, format="png", dpi=120)
+        write_bytes_atomically(self._folder / "progress.png", picture.getvalue())
 
 
 def read_log(path: Path | str) -> list[dict[str, float]]:

@@ -13,6 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from motdiff.files import write_bytes_atomically
+
 __all__ = ["PICTURES", "crops", "load_photos", "pack_photos", "split_photos"]
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
@@ -79,7 +81,7 @@ def pack_photos(source: Path | str, target: Path | str, *, most_px: int = 512, q
             pack.writestr(f"{number:05d}_{Path(name).stem}.jpg", encoded.tobytes())
         if not pack.namelist():
             raise ValueError(f"{source}: holds no photo to pack")
-    Path(target).write_bytes(buffer.getvalue())
+    write_bytes_atomically(target, buffer.getvalue())
     return len(buffer.getvalue())
 
 
@@ -141,7 +143,11 @@ def _images(source: Path) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     elif zipfile.is_zipfile(source):
         with zipfile.ZipFile(source) as pack:
             for name in sorted(pack.namelist()):
-                yield name, _decoded(pack.read(name), name)
+                try:
+                    data = pack.read(name)
+                except zipfile.BadZipFile as error:
+                    raise ValueError(f"{source}: is damaged ({error})") from error
+                yield name, _decoded(data, name)
     else:
         raise ValueError(f"{source}: must be a folder of photos or a .zip pack of them")
 

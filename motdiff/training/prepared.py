@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -94,6 +95,13 @@ def _write(file: Path, samples: Samples) -> None:
 
 
 def _read(file: Path) -> Samples:
+    try:
+        return _loaded(file)
+    except (zipfile.BadZipFile, EOFError, KeyError) as error:
+        raise ValueError(f"{file}: is damaged ({error}); delete it and prepare it again") from error
+
+
+def _loaded(file: Path) -> Samples:
     with np.load(file) as stored:
         count = len(stored["photos"])
         path = np.unpackbits(stored["x0"], axis=1).reshape(count, 1, MAP_PX, MAP_PX)

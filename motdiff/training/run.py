@@ -132,6 +132,7 @@ def train(
     FloatingPointError
         If the loss is no longer finite.
     """
+    began = saved = time.monotonic()
     pace = pace or Pace()
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
@@ -144,7 +145,6 @@ def train(
         log = RunLog(place, steps=config.optimiser.steps, speaks=trainer.leads)
         log.say(f"{'resumed at' if resumed else 'new run, from'} step {trainer.step} of {config.optimiser.steps}")
         sources = make_sources(config, device=device, workers=workers)
-        began = saved = time.monotonic()
         with _asked_to_stop() as asked:
             while trainer.step < config.optimiser.steps:
                 losses = trainer.update(sources.training)

@@ -55,7 +55,7 @@ def simulate(
     physics: bool,
     seed: int,
 ) -> Samples:
-    """Take one photo per motion of the bank, each of another scene.
+    """Take one photo per motion of the bank, each of a scene drawn at random.
 
     Parameters
     ----------

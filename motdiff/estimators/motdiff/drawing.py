@@ -15,7 +15,7 @@ from motdiff.diffusion import cosine_schedule
 from motdiff.grids import inverse_symmetry, mirrored
 from motdiff.network import MotDiffNetwork
 from motdiff.parallel import side_by_side
-from motdiff.sampling import psfs_of_maps, sample_paths
+from motdiff.sampling import sample_paths
 
 __all__ = ["draw_psfs", "searched_quickly"]
 
@@ -70,7 +70,7 @@ def draw_psfs(
         drawn = sample_paths(
             network, condition, count=1, schedule=cosine_schedule(), steps=steps, generator=generator, method=method
         )
-        turned = psfs_of_maps(drawn.path * drawn.dwell)  # (K, 1, 64, 64)
+        turned = drawn.psfs()  # (K, 1, 64, 64)
         psfs = [mirrored(turned[i : i + 1], inverse_symmetry(s), pitch=1)[0, 0] for i, s in enumerate(turns)]
     return np.asarray(torch.stack(psfs).double().numpy(), dtype=np.float64)
 
