@@ -35,7 +35,7 @@ def calibrate(
     samples: Annotated[
         int | None, typer.Option("--samples", min=1, help="motdiff: motions to draw; 8 when omitted.")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="motdiff: about three times faster, less exact.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="motdiff: in half the time, less exact.")] = False,
     gamma: Gamma = "srgb",
     force: Force = False,
     seed: Seed = 0,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from motdiff.estimators.blind import Found, estimate_blind
+from motdiff.estimators.blind import Found, _without_faint_parts, estimate_blind
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
@@ -163,7 +163,7 @@ def test_half_size_is_taken_only_where_it_is_clearly_better(first, second, halve
 
 
 def test_a_photo_is_halved_twice_at_most():
-    estimate, seen = scales(400, (LONG, 0.55), (LONG, 0.65), (LONG, 0.75), (line(5), 0.95))
+    estimate, seen = scales(800, (LONG, 0.55), (LONG, 0.65), (LONG, 0.75), (line(5), 0.95))
     assert len(seen) == 3
     assert estimate.details["scale"] == 0.25
     assert estimate.trajectories[0].length_px == pytest.approx(4 * 36, rel=0.06)
@@ -183,9 +183,9 @@ def test_a_lost_blur_is_looked_for_at_half_size_where_pixels_are_to_spare(side, 
     assert len(seen) == tries
 
 
-@pytest.mark.parametrize(("side", "tries"), [(192, 2), (191, 1)])
+@pytest.mark.parametrize(("side", "tries"), [(191, 1), (192, 2), (382, 2), (384, 3)])
 def test_small_photos_are_not_halved(side, tries):
-    _, seen = scales(side, (LONG, UNSURE), (line(5), 0.1))
+    _, seen = scales(side, (LONG, 0.55), (LONG, 0.65), (LONG, 0.75), (LONG, 0.85))
     assert len(seen) == tries
 
 
@@ -238,6 +238,9 @@ def test_distinct_motions_follow_as_alternatives_likeliest_first():
 def test_faint_parts_are_in_the_psf_but_not_in_the_path():
     branch = line(9) + 0.03 * np.roll(line(9, angle_rad=np.pi / 2), 5, axis=0)
     branch /= branch.sum()
+    kept = _without_faint_parts(branch)
+    np.testing.assert_array_equal(kept > 0, branch >= 0.05 * branch.max())
+    assert kept.sum() == pytest.approx(1)
     estimate, _ = found_in(noise(100, 100), FakeSearch((branch, 0.9)))
     plain, _ = found_in(noise(100, 100))
     assert estimate.psf[32 + 8, 32] > 0
@@ -248,6 +251,10 @@ def test_faint_parts_are_in_the_psf_but_not_in_the_path():
 def test_specks_are_not_part_of_the_path():
     speck = line(9)
     speck[4, 4] = 0.3 * speck.max()
+    np.testing.assert_allclose(_without_faint_parts(speck), np.where(speck < 0.05 * speck.max(), 0, line(9)), atol=0.01)
+    assert _without_faint_parts(speck)[4, 4] == 0
+    two = line(9) + np.roll(line(9), 12, axis=0)  # as bright as each other: both are the motion's
+    np.testing.assert_array_equal(_without_faint_parts(two) > 0, two >= 0.05 * two.max())
     speck /= speck.sum()
     estimate, _ = found_in(noise(100, 100), FakeSearch((speck, 0.9)))
     plain, _ = found_in(noise(100, 100))

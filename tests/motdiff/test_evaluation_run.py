@@ -55,7 +55,8 @@ def evaluate(tmp_path, photos, monkeypatch):
         monkeypatch.setattr("motdiff.estimators.pmp.PmpEstimator", estimator or quick())
         monkeypatch.setattr("motdiff.evaluation.run.mean_kernel", lambda _mix, *, seed: gaussian(3.0 + seed))
         monkeypatch.setattr("motdiff.evaluation.measure._restoration", lambda _case, psf: (20 + psf.max(), 0.5))
-        return run(["eval", "--photos", str(photos), "-o", str(tmp_path / "out"), "--shown", "1", *arguments])
+        method = [] if {"--method", "--weights"} & set(arguments) else ["--method", "pmp"]
+        return run(["eval", "--photos", str(photos), "-o", str(tmp_path / "out"), "--shown", "1", *method, *arguments])
 
     return given
 
@@ -139,7 +140,7 @@ def test_ctrl_c_before_anything_is_done(evaluate, tmp_path, capsys, monkeypatch)
         (["--set", "gyro"], "gyro_trace"),
         (["--set", "paper", "--method", "magic"], "method: must be one of pmp, motdiff"),
         (["--set", "paper", "--count", "0"], "count"),
-        (["--set", "paper", "--method", "pmp", "--weights", "a"], "weights: are for the method motdiff"),
+        (["--set", "paper", "--method", "pmp", "--weights", "a"], "weights: are for the methods motdiff"),
         (["--set", "paper", "--weights", "missing.safetensors"], "missing.safetensors: no such file"),
         (["--levin", "missing"], "missing"),
     ],
@@ -180,8 +181,8 @@ def test_every_file_of_weights_is_a_row(tmp_path, monkeypatch):
         path.touch()
     both = named_estimators(["motdiff"], files[:2])
     assert {name: estimator.options for name, estimator in both.items()} == {
-        "small": {"weights": files[0]},
-        "large": {"weights": files[1]},
+        "small": {"weights": files[0], "thorough": True},
+        "large": {"weights": files[1], "thorough": True},
     }
     assert list(named_estimators(["motdiff"])) == ["motdiff"]
     with pytest.raises(ValueError, match="weights: need different file names"):

@@ -136,6 +136,16 @@ def test_mnc_matrix_of_points_by_hand() -> None:
     np.testing.assert_allclose(mnc_matrix([point, across, down]), expected, atol=1e-9)
 
 
+def test_mnc_matrix_does_not_join_the_frames_ends() -> None:
+    far, near = np.zeros((2, 3, 21))
+    far[1, 0], far[1, 20] = 1, 1
+    near[1, 10], near[1, 11] = 1, 1
+    found = mnc_matrix([far, near])[0, 1]
+    assert found == pytest.approx(mnc_subpixel(far, near), abs=0.03)
+    assert found < 0.7
+    assert mnc_matrix([far.T, near.T])[0, 1] == pytest.approx(found)
+
+
 def test_mnc_matrix_of_one_is_one() -> None:
     np.testing.assert_array_equal(mnc_matrix([kernel(0)]), [[1]])
 

@@ -84,10 +84,10 @@ class Oracle:
 
     physics, photo = None, True
 
-    def __init__(self, motion, *, logit=40.0):
-        self.logit = logit
+    def __init__(self, motion, *, logit=40.0, dwell=None):
+        self.logit, self.dwell = logit, dwell
         self.maps = [torch.from_numpy(turned(motion, symmetry).hr_map()).float() for symmetry in range(8)]
-        self.photos, self.steps = [], []
+        self.photos, self.steps, self.turns = [], [], []
 
     def condition(self, photo, physics):
         assert physics is None
@@ -97,8 +97,11 @@ class Oracle:
 
     def denoise(self, x_t, t, condition):
         self.steps.append((int(t[0]), len(x_t)))
-        maps = torch.stack([self.maps[int(symmetry)] for symmetry in condition[:, 0, 0, 0]])[:, None]
-        return self.logit * (2 * maps - 1)
+        self.turns = [int(symmetry) for symmetry in condition[:, 0, 0, 0]]
+        logits = self.logit * (2 * torch.stack([self.maps[turn] for turn in self.turns])[:, None] - 1)
+        if self.dwell is None:
+            return logits
+        return torch.cat([logits, torch.log(torch.expm1(self.dwell)).expand_as(logits)], dim=1)  # softplus undoes it
 
 
 def estimator_with(monkeypatch, network, **options):
@@ -163,10 +166,18 @@ def test_every_turn_of_the_photo_is_undone():
     assert len(oracle.photos) == 8  # once for each symmetry
     assert len({photo.numpy().tobytes() for photo in oracle.photos}) == 8
     assert oracle.steps == [(999, 11), (666, 11), (332, 11)]
+    assert oracle.turns == [*range(8), 0, 1, 2]
     expected = psfs_of_maps(torch.from_numpy(bent().hr_map()).double()).numpy()
     assert psfs.shape == (11, 64, 64)
     np.testing.assert_allclose(psfs, np.broadcast_to(expected, (11, 64, 64)), atol=1e-6)
     np.testing.assert_allclose(psfs.sum(axis=(1, 2)), 1, atol=1e-6)
+
+
+def test_draws_are_weighted_by_their_dwell():
+    dwell = torch.linspace(0.2, 3, 256).expand(256, 256)
+    psfs = drawn_by(Oracle(bent(), dwell=dwell), photo_of(bent(), 90, 110)[None])
+    expected = psfs_of_maps(torch.from_numpy(bent().hr_map()).double() * dwell)
+    np.testing.assert_allclose(psfs[0], expected, atol=1e-6)
 
 
 def test_one_draw_sees_the_photo_as_it_is():
@@ -248,8 +259,9 @@ def shaken():
 
 @pytest.mark.parametrize("refine", [False, True])
 def test_an_oracle_s_motion_is_found(monkeypatch, no_search, shaken, refine):
-    options = {"thorough": False, "refine": refine, "steps": 4}
-    estimate = estimator_with(monkeypatch, Oracle(STRAIGHT), **options).estimate(shaken)
+    oracle, options = Oracle(STRAIGHT), {"thorough": False, "refine": refine, "steps": 4}
+    estimate = estimator_with(monkeypatch, oracle, **options).estimate(shaken)
+    assert [draws for _, draws in oracle.steps] == [8] * 4
     truth = STRAIGHT.psf(64)
     assert mnc_subpixel(estimate.psf, truth) > 0.98
     assert mnc_subpixel(estimate.trajectories[0].psf(), truth) > 0.95
@@ -576,6 +588,8 @@ def test_samplers_are_named_with_their_steps(oracle_weights, shaken):
         estimator.estimate(shaken)
         calls[name] = len(oracle_weights.steps)
     assert calls == {"network": 10, "network:ddpm:4": 4, "network:dpm++2m:2": 2}
+    with pytest.raises(ValueError, match="method must be one of ddpm, ddim, dpm"):
+        named_estimators(["network:magic:2"])["network:magic:2"].estimate(shaken)
 
 
 def test_the_quick_way_has_rows_of_its_own(oracle_weights, monkeypatch):
