@@ -28,7 +28,7 @@ __all__ = ["MotDiffEstimator"]
 FloatArray = NDArray[np.float64]
 
 _REFINED = 4
-_ROUNDS = 3
+_ROUNDS = 4
 _SAME_MNC = 0.9
 _DUST = 0.02  # of the peak: a network's doubt off the path, never quite 0, is no light
 # of the full search's starts, those that stand for the quick ones the network was trained with
@@ -118,7 +118,7 @@ class MotDiffEstimator:
         best = int(np.argmax(believed))
         if self._refine:
             likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
-            chosen = _distinct(kernels, [mean, likeliest, *np.argsort(-believed)], most=_REFINED)
+            chosen = _distinct(kernels, [likeliest, mean], np.argsort(-believed), most=_REFINED)
             refined = side_by_side([partial(_refined, crops, kernels[i], judge.sigma) for i in chosen])
             kernels += refined
             evidence = np.vstack([evidence, judge.evidence(refined)])
@@ -157,10 +157,10 @@ def _in_odd_frames(psfs: FloatArray) -> list[FloatArray]:
     return list(odd / odd.sum(axis=(1, 2), keepdims=True))
 
 
-def _distinct(kernels: list[FloatArray], order: list[int], *, most: int) -> list[int]:
-    """First kernels of ``order`` that are not alike."""
+def _distinct(kernels: list[FloatArray], first: list[int], order: NDArray[np.intp], *, most: int) -> list[int]:
+    """Those of ``first``, then the first of ``order`` that are not like one chosen before."""
     alike = mnc_matrix(kernels)
-    chosen: list[int] = []
+    chosen = list(first)
     for i in order:
         if all(alike[i, j] < _SAME_MNC for j in chosen):
             chosen.append(int(i))
