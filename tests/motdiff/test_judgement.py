@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import special
 
 from motdiff.estimators.motdiff.judgement import FEATURES, features, probabilities
 from motdiff.estimators.pmp.score import Judge, kernel_features, noise_sigma, phase_evidence, spectral_fit
@@ -84,13 +85,20 @@ def test_without_others_there_is_no_agreement():
 
 def test_probabilities_rise_with_the_evidence_and_fall_with_light_on_the_rim():
     nothing = probabilities(np.zeros((1, 5)))[0]
-    assert nothing == pytest.approx(1 / (1 + np.exp(5.15)))
+    assert 0 < nothing < 0.1
     each = dict(zip(FEATURES, probabilities(np.eye(5)), strict=True))
     assert each.pop("rim_light") < nothing
     assert min(each.values()) > nothing
-    rows = np.random.default_rng(0).normal(size=(20, 5))
-    np.testing.assert_allclose(probabilities(rows), [probabilities(row[None])[0] for row in rows])
     assert probabilities(np.zeros((0, 5))).shape == (0,)
+
+
+def test_every_feature_adds_to_the_log_odds_on_its_own():
+    rows = 0.2 * np.random.default_rng(0).normal(size=(20, 5))
+    log_odds = special.logit(probabilities(rows))
+    np.testing.assert_allclose(log_odds, [special.logit(probabilities(row[None])[0]) for row in rows])
+    start = special.logit(probabilities(np.zeros((1, 5)))[0])
+    per_feature = special.logit(probabilities(0.1 * np.eye(5))) - start
+    np.testing.assert_allclose(log_odds, start + 10 * rows @ per_feature)
 
 
 def test_the_photo_believes_the_truth_and_not_what_is_lost(crops):
