@@ -12,10 +12,21 @@ from torch import Tensor
 
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
 
-__all__ = ["GRID_PX", "QUICK_STARTS", "QuickStart", "autocorrelation", "physics_maps", "quick_kernels", "spectral_maps"]
+__all__ = [
+    "GRID_PX",
+    "QUICK_STARTS",
+    "QuickStart",
+    "autocorrelation",
+    "display_photo",
+    "physics_maps",
+    "quick_kernels",
+    "spectral_maps",
+    "stacked_maps",
+]
 
 GRID_PX = 64
 _BAND_SIGMA_CY_PX = 0.22
+_DISPLAY_GAMMA = 2.2
 
 
 @dataclass(frozen=True)
@@ -54,8 +65,21 @@ def physics_maps(photos: Tensor, kernels: Tensor) -> Tensor:
     (B, 2 + 2 K, 64, 64) float32: autocorrelation and cepstrum of the photo, the kernels over their peaks, and the
     kernels' own autocorrelations, to be compared with the photo's. Zero lag and zero displacement at index 32.
     """
+    return stacked_maps(spectral_maps(photos), kernels)
+
+
+def stacked_maps(spectral: Tensor, kernels: Tensor) -> Tensor:
+    """Stack :func:`physics_maps` from spectral maps (B, 2, 64, 64) known already, and kernels (B, K, 64, 64)."""
     peaks = kernels.amax(dim=(-2, -1), keepdim=True).clamp(min=1e-12)
-    return torch.cat([spectral_maps(photos), kernels / peaks, autocorrelation(kernels)], dim=1)
+    return torch.cat([spectral, kernels / peaks, autocorrelation(kernels)], dim=1)
+
+
+def display_photo(grey: Tensor) -> Tensor:
+    """Photo (B, 3, H, W) for the photo encoder: display values 0..1 of grey linear light (B, 1, H, W).
+
+    Grey in all channels: the blur is the same in every colour.
+    """
+    return (grey.clamp(0, 1) ** (1 / _DISPLAY_GAMMA)).expand(-1, 3, -1, -1)
 
 
 def quick_kernels(

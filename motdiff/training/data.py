@@ -12,7 +12,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from motdiff.conditions import autocorrelation, physics_maps, spectral_maps
+from motdiff.conditions import display_photo, physics_maps, spectral_maps, stacked_maps
 from motdiff.grids import mirrored
 from motdiff.training.motion_bank import MotionBank
 from motdiff.training.samples import Samples, simulate
@@ -104,9 +104,9 @@ class LiveSource:
         samples = simulate(
             self._bank, self._scenes, index, photography=self._photography, physics=self._physics, seed=seed
         )
-        grey = samples.photos.mean(dim=1, keepdim=True)  # the blur is the same in every colour
+        grey = samples.photos.mean(dim=1, keepdim=True)
         physics = physics_maps(grey, samples.kernels) if self._physics else None
-        photo = (grey.clamp(0, 1) ** (1 / 2.2)).expand(-1, 3, -1, -1) if self._photo else None
+        photo = display_photo(grey) if self._photo else None
         return Batch(photo, physics, samples.x0, samples.dwell)
 
 
@@ -152,8 +152,7 @@ class PreparedSource:
     def _turned(self, index: Tensor, symmetry: int) -> tuple[Tensor, Tensor, Tensor]:
         spectral = mirrored(self._spectral[index].float(), symmetry, pitch=1)
         kernels = mirrored(self._kernels[index].float(), symmetry, pitch=1)
-        peaks = kernels.amax(dim=(-2, -1), keepdim=True).clamp(min=1e-12)
-        physics = torch.cat([spectral, kernels / peaks, autocorrelation(kernels)], dim=1)
+        physics = stacked_maps(spectral, kernels)
         x0, dwell = (mirrored(maps[index].float(), symmetry, pitch=4) for maps in (self._x0, self._dwell))
         return physics, x0, dwell
 

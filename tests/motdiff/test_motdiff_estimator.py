@@ -389,7 +389,7 @@ def test_the_mean_of_the_draws_and_the_likeliest_classical_kernel_are_always_ref
     believed = np.r_[np.full(4, 0.9), 0.1, 0.3, 0.2, 0.2, 0.2, 0.0]
     monkeypatch.setattr(module, "probabilities", lambda rows: np.r_[believed, np.arange(len(rows) - 10) / 10])
     refined = []
-    monkeypatch.setattr(module, "_refined", lambda _crops, kernel, _sigma: refined.append(kernel) or kernel)
+    monkeypatch.setattr(module, "refined", lambda _crops, kernel, _sigma: refined.append(kernel) or kernel)
     monkeypatch.setattr("motdiff.parallel.os.cpu_count", lambda: 1)  # one after the other
     found = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=4).search(shaken[None])
     assert len(refined) == 4

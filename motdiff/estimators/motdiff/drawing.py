@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from motdiff.conditions import QUICK_STARTS, physics_maps, quick_kernels
+from motdiff.conditions import QUICK_STARTS, display_photo, physics_maps, quick_kernels
 from motdiff.diffusion import cosine_schedule
 from motdiff.grids import inverse_symmetry, mirrored
 from motdiff.network import MotDiffNetwork
@@ -22,7 +22,6 @@ __all__ = ["draw_psfs", "searched_quickly"]
 FloatArray = NDArray[np.float64]
 
 _PHOTO_PX = 256
-_DISPLAY_GAMMA = 2.2  # as in training
 
 
 def draw_psfs(
@@ -91,5 +90,4 @@ def _photo(crops: Tensor) -> Tensor:
         best = functional.pad(best, (0, pads[1], 0, pads[0]), mode="reflect")
         missing = [max(0, _PHOTO_PX - n) for n in best.shape[-2:]]
     top, left = ((n - _PHOTO_PX) // 2 for n in best.shape[-2:])
-    middle = best[..., top : top + _PHOTO_PX, left : left + _PHOTO_PX]
-    return (middle.clamp(0, 1) ** (1 / _DISPLAY_GAMMA)).expand(-1, 3, -1, -1)
+    return display_photo(best[..., top : top + _PHOTO_PX, left : left + _PHOTO_PX])

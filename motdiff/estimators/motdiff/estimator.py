@@ -16,8 +16,7 @@ from motdiff.estimators.blind import Found, estimate_blind
 from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
 from motdiff.estimators.motdiff.judgement import features, probabilities
 from motdiff.estimators.pmp import PmpEstimator
-from motdiff.estimators.pmp.blind import refine_kernel
-from motdiff.estimators.pmp.estimator import STARTS
+from motdiff.estimators.pmp.estimator import STARTS, refined
 from motdiff.estimators.pmp.score import Judge, noise_sigma
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.parallel import side_by_side
@@ -28,7 +27,6 @@ __all__ = ["MotDiffEstimator"]
 FloatArray = NDArray[np.float64]
 
 _REFINED = 4
-_ROUNDS = 4
 _SAME_MNC = 0.9
 _DUST = 0.02  # of the peak: a network's doubt off the path, never quite 0, is no light
 # of the full search's starts, those that stand for the quick ones the network was trained with
@@ -119,9 +117,9 @@ class MotDiffEstimator:
         if self._refine:
             likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
             chosen = _distinct(kernels, [likeliest, mean], np.argsort(-believed), most=_REFINED)
-            refined = side_by_side([partial(_refined, crops, kernels[i], judge.sigma) for i in chosen])
-            kernels += refined
-            evidence = np.vstack([evidence, judge.evidence(refined)])
+            sharpened = side_by_side([partial(refined, crops, kernels[i], judge.sigma) for i in chosen])
+            kernels += sharpened
+            evidence = np.vstack([evidence, judge.evidence(sharpened)])
             believed = probabilities(features(evidence, kernels, **groups))
             best = mean + 1 + int(np.argmax(believed[mean + 1 :]))  # refined ones are better than what they come from
         origin = best if best <= mean else chosen[best - mean - 1]
@@ -173,14 +171,6 @@ def _searched_alone(crop: FloatArray) -> FloatArray:
     light = torch.from_numpy(crop.astype(np.float32))[None, None]
     kernel = quick_kernels(light, sigma=noise_sigma(crop), starts=QUICK_STARTS[:1])
     return np.asarray(kernel[0, 0].double().numpy(), dtype=np.float64)
-
-
-def _refined(crops: FloatArray, kernel: FloatArray, sigma: float) -> FloatArray:
-    light = torch.from_numpy(crops.astype(np.float32))[None]
-    refined = torch.from_numpy(kernel.astype(np.float32))[None]
-    for _ in range(_ROUNDS):
-        refined = refine_kernel(light, refined, sigma=sigma)
-    return np.asarray(refined[0].double().numpy(), dtype=np.float64)
 
 
 def _agreement(psfs: FloatArray) -> float:

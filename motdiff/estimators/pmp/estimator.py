@@ -16,7 +16,7 @@ from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_k
 from motdiff.estimators.pmp.score import noise_sigma, rank_kernels
 from motdiff.parallel import side_by_side
 
-__all__ = ["STARTS", "PmpEstimator", "Start"]
+__all__ = ["STARTS", "PmpEstimator", "Start", "refined"]
 
 FloatArray = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ class PmpEstimator:
         """Run every start on the crops (C, H, W) and refine the best."""
         kernels = self.kernels(crops)
         ranking = rank_kernels(crops, kernels)
-        kernels[ranking.best] = self._refined(crops, kernels[ranking.best])
+        kernels[ranking.best] = refined(crops, kernels[ranking.best], _sigma(crops), device=self._device)
         details: dict[str, object] = {"starts": len(kernels), "agreement": ranking.agreement}
         return Found(tuple(kernels), ranking.probabilities, ranking.best, details)
 
@@ -129,14 +129,25 @@ class PmpEstimator:
         kernel = estimate_kernels(batch, size=size, settings=settings)[0].cpu().numpy()
         return np.ascontiguousarray(np.rot90(kernel, -start.quarter_turns), dtype=np.float64)
 
-    def _refined(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
-        batch = torch.from_numpy(crops.astype(np.float32))[None].to(self._device)
-        refined = torch.from_numpy(kernel.astype(np.float32))[None].to(self._device)
-        sigma = _sigma(crops)
-        with torch.no_grad():
-            for _ in range(_REFINEMENTS):
-                refined = refine_kernel(batch, refined, sigma=sigma)
-        return np.asarray(refined[0].cpu().numpy(), dtype=np.float64)
+
+def refined(crops: FloatArray, kernel: FloatArray, sigma: float, *, device: str = "cpu") -> FloatArray:
+    """Refine a kernel (k, k) on the crops (C, H, W) four times, see :func:`motdiff.estimators.pmp.blind.refine_kernel`.
+
+    Parameters
+    ----------
+    crops : (C, H, W) float
+    kernel : (k, k) float, odd k, sum 1
+    sigma : float
+        Standard deviation of the noise.
+    device : str
+        Torch device.
+    """
+    light = torch.from_numpy(crops.astype(np.float32))[None].to(device)
+    found = torch.from_numpy(kernel.astype(np.float32))[None].to(device)
+    with torch.no_grad():
+        for _ in range(_REFINEMENTS):
+            found = refine_kernel(light, found, sigma=sigma)
+    return np.asarray(found[0].cpu().numpy(), dtype=np.float64)
 
 
 def _sigma(crops: FloatArray) -> float:
