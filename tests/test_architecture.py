@@ -20,8 +20,10 @@ HEAVY = {
     "cvxpy": "seconds to import; only a bound or a certificate needs it",
     "matplotlib": "half a second to import; pyplot besides keeps global state",
     "skimage": "a second to import",
+    "numba": "a second to import; one module wraps it for the compiled loops of the search",
 }
 HEAVY_ALLOWED = {
+    "numba": ("cep/compiled.py",),
     "torch": (  # torch packages and modules throughout
         "motdiff/conditions.py",
         "motdiff/diffusion.py",
