@@ -1,6 +1,7 @@
 """Shutter codes, measured: the published ones, the annealer's, and what an unknown direction costs on curved paths.
 
-    python benchmarks/codes.py [--seconds 40] [--curved-seconds 10] [--motions 8] [--only league|straight|curved]
+    python benchmarks/codes.py [--seconds 40] [--curved-seconds 10] [--motions 8]
+                               [--only league|certificates|straight|curved]
 
 Noise gains are 10 log10 mean 1/|H|^2. On straight motion H is the code's polynomial in chips over the unit circle; on
 curved paths it is light-true over the band [-0.5, 0.5]^2, and "DC" adds 20 log10 duty.
@@ -13,37 +14,96 @@ import time
 
 import numpy as np
 
-from cep.baselines.published import for_chips, names, published
+from cep.baselines.published import CLAIMS, for_chips, names, published
+from cep.certificate import certify
 from cep.code import ShutterCode
-from cep.minimum import chip_minimum, min_chip
+from cep.minimum import chip_minimum
 from cep.mtf import chip_noise_db, measure
-from cep.search.anneal import anneal
-from cep.search.bounds import bound
-from cep.search.problem import SearchProblem
+from cep.verify import verify
 from motdiff.motions import boracchi_foi
+from motdiff.trajectory import Trajectory
 
 
-def chip_row(name: str, code: ShutterCode, seconds: float | None = None) -> None:
-    minimum, lower, noise = min_chip(code), chip_minimum(code).lower, chip_noise_db(code)
-    # a grid near a true zero gives a finite figure that means nothing
-    shown = (
-        f"{noise:8.2f} {noise + 20 * np.log10(code.open_chips):8.2f}" if minimum > 1e-9 else f"{'inf':>8} {'inf':>8}"
-    )
-    took = "" if seconds is None else f"  {seconds:.1f} s"
+def chip_row(name: str, code: ShutterCode, seconds: float) -> None:
+    found, noise = chip_minimum(code), chip_noise_db(code)
     print(
-        f"{name:22s} {code.chips:4d} {code.open_chips:4d} {minimum:8.4f} {lower:8.4f} {minimum / code.open_chips:7.4f} "
-        f"{shown}{took}"
+        f"{name:22s} {code.chips:4d} {code.open_chips:4d} {found.upper:8.4f} {found.lower:8.4f} "
+        f"{found.upper / code.open_chips:7.4f} {noise:8.2f} {noise + 20 * np.log10(code.open_chips):8.2f}  "
+        f"{seconds:.1f} s"
     )
 
 
 def league() -> None:
-    print("Published codes on the unit circle")
-    print(f"{'code':22s} {'n':>4} {'k':>4} {'min |P|':>8} {'lower':>8} {'/k':>7} {'noise dB':>8} {'DC dB':>8}")
+    """Print the tables of docs/league.md."""
+    print("| code | n | k | min \\|P\\|, proven | / DC | n-point DFT says | noise, dB | noise / DC, dB |")
+    print("|---|---|---|---|---|---|---|---|")
     for name in names():
-        chip_row(name, published(name).code)
+        code = published(name).code
+        found, noise = chip_minimum(code), chip_noise_db(code)
+        claim = np.abs(np.fft.fft(code.array)).min()
+        shown = "inf", "inf"
+        if found.upper > 0:
+            shown = f"{noise:.2f}", f"{noise + 20 * np.log10(code.open_chips):.2f}"
+        print(
+            f"| {name} | {code.chips} | {code.open_chips} | {found.lower:.4f} .. {found.upper:.4f} | "
+            f"{found.upper / code.open_chips:.4f} | {claim:.4f} | {shown[0]} | {shown[1]} |"
+        )
+    print("\n| code | points of the grid | claimed min / DC | proven min / DC | where, cycles per chip | proof |")
+    print("|---|---|---|---|---|---|")
+    for name, (points, claim) in CLAIMS.items():
+        code = published(name).code
+        found = chip_minimum(code)
+        print(
+            f"| {name} | {points} | {claim:.6f} | {found.upper / code.open_chips:.4f} | {found.at[0]:.6f} | "
+            f"{found.method} |"
+        )
+
+
+def certificates() -> None:
+    """Print how tight certificates are, what they cost, and what checking them costs."""
+    print("\nCertificates: CPU seconds of the proof and of the second opinion, after compiling")
+    print(
+        f"{'code and motion':36s} {'lower':>12} {'upper':>12} {'width':>8} {'proof':>7} {'check':>7}  method, verdict"
+    )
+    shakes = [boracchi_foi(np.random.default_rng(seed), max_length_px=60.0) for seed in range(3)]
+    drawn = np.random.default_rng(0)
+    rows: list[tuple[str, ShutterCode, Trajectory | None]] = [
+        (name, published(name).code, None) for name in ("raskar-52", "merl-31-t62", "jeon-200")
+    ]
+    rows.append(("random, 1024 chips", random_code(drawn, 1024), None))
+    rows += [
+        (f"random, 52 chips, shake {shake}", random_code(drawn, 52), path)
+        for shake, path in enumerate(shakes)
+        for _ in range(5)
+    ]
+    # a long shake gives nearly every code a zero; a short one, or a short opening, need not
+    for shake, path in enumerate(shakes):
+        rows.append((f"one chip of 52, shake {shake}", ShutterCode("1".center(52, "0")), path))
+        rows += [
+            (f"random, 52 chips, shake {shake} at 5 px", random_code(drawn, 52), path.scaled(1 / 12)) for _ in range(2)
+        ]
+    certify(ShutterCode("1101"), shakes[0])
+    for name, code, path in rows:
+        began = time.process_time()
+        found = certify(code, path)
+        proven = time.process_time()
+        verdict = verify(code.bits, found.to_dict())
+        checked = time.process_time()
+        print(
+            f"{name:36s} {found.lower:12.8f} {found.upper:12.8f} {found.relative_width:8.1e} {proven - began:7.3f} "
+            f"{checked - proven:7.3f}  {found.method}, {'confirmed' if verdict.holds else verdict.reasons[-1]}"
+        )
+
+
+def random_code(rng: np.random.Generator, chips: int) -> ShutterCode:
+    return ShutterCode("1" + "".join(rng.choice(["0", "1"], chips - 1)))
 
 
 def straight(seconds: float) -> None:
+    from cep.search.anneal import anneal
+    from cep.search.bounds import bound
+    from cep.search.problem import SearchProblem
+
     print(f"\nAnnealing at n = 52, k = 26 on the unit circle, {seconds:g} s each, one core")
     for objective in ("min-mtf", "noise"):
         problem = SearchProblem(chips=52, open_range=(26, 26), objective=objective)
@@ -57,6 +117,9 @@ def straight(seconds: float) -> None:
 
 
 def curved(seconds: float, motions: int) -> None:
+    from cep.search.anneal import anneal
+    from cep.search.problem import SearchProblem
+
     print(f"\nCurved paths (Boracchi-Foi, 60 px), 52 chips, {seconds:g} s a search; noise gain dB, light-true (DC)")
     print(
         f"{'path':>6} {'no code':>15} {'one-way, along':>15} {'one-way, back':>15} {'both ways':>15} {'true min':>10}"
@@ -83,11 +146,13 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=40.0)
     parser.add_argument("--curved-seconds", type=float, default=10.0)
     parser.add_argument("--motions", type=int, default=8)
-    parser.add_argument("--only", choices=["league", "straight", "curved"])
+    parser.add_argument("--only", choices=["league", "certificates", "straight", "curved"])
     chosen = parser.parse_args()
     began = time.monotonic()
     if chosen.only in (None, "league"):
         league()
+    if chosen.only in (None, "certificates"):
+        certificates()
     if chosen.only in (None, "straight"):
         straight(chosen.seconds)
     if chosen.only in (None, "curved"):

@@ -12,6 +12,7 @@ from cep.band import uniform_length_px
 from cep.camera import Camera
 from cep.code import ShutterCode
 from cep.mtf import CodeMetrics, measure, worst_of
+from cep.response import ShutterResponse
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from hw.device import DeviceProfile
@@ -25,6 +26,7 @@ __all__ = [
     "expected_psnr_db",
     "judge",
     "limits_of_device",
+    "response_of_device",
 ]
 
 FINEST_CHIP_PX = 0.25
@@ -111,8 +113,9 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> Map
     Raises
     ------
     ValueError
-        If the device cannot play codes of this length or chip time at all.
+        If the device cannot play codes of this length or chip time at all; the line says what it can.
     """
+    _check_chip(profile, chip_ns)
     if profile.max_chips is not None and chips > profile.max_chips:
         raise ValueError(f"{profile.name}: plays at most {profile.max_chips} chips, {chips} were asked for")
     bias_ns = profile.on_bias_ns
@@ -124,3 +127,46 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> Map
         "max_pulses": profile.max_pulses,
         "max_open": None if profile.max_duty is None else max(1, int(profile.max_duty * chips + 1e-9)),
     }
+
+
+def response_of_device(profile: DeviceProfile, chip_ns: int, *, bias_corrected: bool = False) -> ShutterResponse | None:
+    """Describe how a device's shutter opens and closes around its edges, or None when it does so at once.
+
+    Parameters
+    ----------
+    profile : DeviceProfile
+    chip_ns : int
+    bias_corrected : bool
+        Whether whoever commands the device shortens every opening by its own ``on_bias_ns``: none remains then.
+
+    Raises
+    ------
+    ValueError
+        If the chip time is none of the device's, or opening or closing takes longer than a chip.
+    """
+    _check_chip(profile, chip_ns)
+    bias_ns = 0 if bias_corrected else profile.on_bias_ns
+    slowest = max(profile.rise_ns, profile.fall_ns + bias_ns)
+    if slowest > chip_ns:
+        raise ValueError(
+            f"chip_ns: {profile.name} takes {slowest} ns to open or close, "
+            f"chips must last at least as long, got {chip_ns} ns"
+        )
+    response = ShutterResponse(chip_ns=chip_ns, rise_ns=profile.rise_ns, fall_ns=profile.fall_ns, on_bias_ns=bias_ns)
+    return None if response.instant else response
+
+
+def _check_chip(profile: DeviceProfile, chip_ns: int) -> None:
+    """Refuse a chip time that is no whole number of ticks, or out of range; name the nearest that would do."""
+    tick = profile.tick_ns
+    least = -(-(profile.min_chip_ns or 1) // tick) * tick
+    most = None if profile.max_chip_ns is None else profile.max_chip_ns // tick * tick
+    if chip_ns % tick == 0 and least <= chip_ns <= (most or chip_ns):
+        return
+    below = chip_ns // tick * tick
+    near = sorted({min(max(time_ns, least), most or time_ns + least) for time_ns in (below, below + tick)})
+    words = f"whole ticks of {tick} ns, from {least} ns" + ("" if most is None else f" to {most} ns")
+    raise ValueError(
+        f"chip_ns: {profile.name} plays chips of {words}, got {chip_ns} ns; "
+        f"{' or '.join(str(time_ns) for time_ns in near)} ns would do"
+    )

@@ -6,20 +6,39 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from cep.band import straight_axis
+from cep.band import straight_axis, uniform_length_px
 from cep.code import ShutterCode
+from cep.descent import polish
 from cep.exposure import open_path
+from cep.response import ShutterResponse
+from cep.taylor import (
+    Pieces,
+    extended,
+    first_cells,
+    floors,
+    jets,
+    pieces_along,
+    pieces_of_code,
+    pieces_of_path,
+    snapped,
+)
+from cep.zeros import Zero, kantorovich, zeros_along, zeros_of_code
 from motdiff.trajectory import Trajectory
 
-__all__ = ["Minimum", "chip_minimum", "min_chip", "minimum_over_box", "mtf_minimum"]
+__all__ = ["SUBDIVISION", "Minimum", "chip_minimum", "min_chip", "mtf_minimum"]
 
 FloatArray = NDArray[np.float64]
-_CANDIDATES = 24  # local minima of the grid that are refined
-_RELATIVE_GAP = 1e-3  # subdivision stops here
-_SLACK = 1e-12  # rounding of |H| at a point, relative to its maximum
+
+SUBDIVISION = "second-order subdivision"
+_CANDIDATES, _LATER = 24, 4  # cells refined: local minima of the first grid, lowest of a later level
+_NEARLY_ZERO = 1e-8  # of DC: below it a proof of a true zero is tried
+_CHIP_GAP, _PATH_GAP = 1e-6, 1e-4  # relative widths at which subdivision stops
+_PADDED = 16  # points per chip of the quick grid
+_FEW = 512  # cells left before sums are made longer for a minimum near rounding
+_ALONG = 14.0  # cells per px and spread on a line, where they cost little
 
 
 @dataclass(frozen=True)
@@ -29,19 +48,27 @@ class Minimum:
     Attributes
     ----------
     lower : float
-        No frequency lies below it: grid values less what the Lipschitz constant allows in between.
+        No frequency lies below it; 0 for a true zero.
     upper : float
-        Value at ``at``: reached by refinement.
+        Value at ``at``, reached by refinement; exactly 0 for a proven zero.
     at : tuple of float
         Frequency, cycles per chip or cycles/px.
     method : str
-        How ``lower`` was found, for the certificate in a code file.
+        How ``lower`` was found, or what proves the zero.
+    zero : Zero, optional
+        The zero's proof.
     """
 
     lower: float
     upper: float
     at: tuple[float, ...]
-    method: str = "lipschitz-grid"
+    method: str = SUBDIVISION
+    zero: Zero | None = None
+
+    @property
+    def relative_width(self) -> float:
+        """``(upper - lower) / upper``, 0 for a proven zero."""
+        return (self.upper - self.lower) / self.upper if self.upper > 0 else 0.0
 
 
 def min_chip(code: ShutterCode) -> float:
@@ -52,21 +79,34 @@ def min_chip(code: ShutterCode) -> float:
     >>> round(min_chip(ShutterCode("1111101110100110101101110001111")), 4)  # claimed: 1.85
     0.0
     """
-    power = np.abs(np.fft.rfft(code.array, 64 * code.chips))
-    start = np.arange(power.size)[ndimage.minimum_filter1d(power, 3) == power] / (64 * code.chips)
-    start = start[np.argsort(power[np.rint(start * 64 * code.chips).astype(int)])][:_CANDIDATES]
-    modulus, lipschitz = _polynomial(code)
-    best, _ = _refine(modulus, lipschitz, start[:, None], np.array([1 / (64 * code.chips)]), _chip_box())
-    return best
+    pieces = pieces_of_code(code)
+    grid = np.abs(np.fft.rfft(code.array, _PADDED * code.chips))
+    local = np.flatnonzero(ndimage.minimum_filter1d(grid, 3) == grid)
+    starts = np.stack([local, 0 * local], axis=1) / (_PADDED * code.chips)
+    # narrow minima hide between points of the grid: what counts is how low |P| could fall within a step
+    floor = floors(pieces, jets(pieces, starts), np.array([1 / (_PADDED * code.chips), 0.0]))
+    order = np.argsort(floor + 0.1 * grid[local])
+    lowest = float(polish(pieces, starts[order[:_LATER]])[1].min())
+    others = order[_LATER:][floor[order[_LATER:]] < lowest]
+    lowest = min(lowest, float(polish(pieces, starts[others])[1].min(initial=np.inf)))
+    proven_zero = lowest < _NEARLY_ZERO * code.open_chips and zeros_of_code(code.bits).found
+    return 0.0 if proven_zero else lowest
 
 
-def chip_minimum(code: ShutterCode) -> Minimum:
-    """Bounds of :func:`min_chip`."""
-    modulus, lipschitz = _polynomial(code)
-    return minimum_over_box(modulus, lipschitz, _chip_box(), step=1 / (16 * code.chips), budget=200_000)
+def chip_minimum(code: ShutterCode, *, budget: int = 2_000_000) -> Minimum:
+    """Bounds of :func:`min_chip`, within a millionth of it; zeros are decided in exact arithmetic."""
+    found = _bounded(pieces_of_code(code), _CHIP_GAP, budget, lambda _: _first(zeros_of_code(code.bits).found))
+    return Minimum(found.lower, found.upper, found.at[:1], found.method, found.zero)
 
 
-def mtf_minimum(trajectory: Trajectory, code: ShutterCode, *, budget: int = 20_000) -> Minimum:
+def mtf_minimum(
+    trajectory: Trajectory,
+    code: ShutterCode,
+    *,
+    budget: int = 300_000,
+    response: ShutterResponse | None = None,
+    edges: ArrayLike | None = None,
+) -> Minimum:
     """Bounds of the smallest |H| over the band [-0.5, 0.5]^2 along a trajectory, light-true (DC is the duty).
 
     Parameters
@@ -74,108 +114,71 @@ def mtf_minimum(trajectory: Trajectory, code: ShutterCode, *, budget: int = 20_0
     trajectory : Trajectory
     code : ShutterCode
     budget : int
-        Frequencies that the lower bound may look at. A straight motion needs few; a curved path may leave it at 0.
+        Cells that the subdivision may look at before it stops with a wider interval than a thousandth; 0 for a quick
+        upper bound.
+    response, edges
+        How and when the shutter plays the chips, as in :func:`cep.exposure.open_path`.
     """
-    path = open_path(trajectory, code)
-    # |H| does not change when the path is shifted, so distances count from the middle of what was seen
-    centre = path.dt @ (path.a + path.b) / (2 * path.dt.sum())
-    # |p - centre| is convex along a piece: the trapezoid rule bounds its integral from above
-    reach = path.dt @ (np.linalg.norm(path.a - centre, axis=1) + np.linalg.norm(path.b - centre, axis=1)) / 2
-    lipschitz = 2 * np.pi * float(reach)
-    extent = max(trajectory.extent_px, 1.0)
-    axis = straight_axis(trajectory)
-    if axis is not None:
-        box = np.array([[0.0, 0.5 * np.abs(axis).sum()]])
-        found = minimum_over_box(
-            lambda f: np.abs(path.otf(f[:, 0] * axis[0], f[:, 0] * axis[1])), lipschitz, box, 1 / (16 * extent), budget
-        )
-        return Minimum(found.lower, found.upper, (float(found.at[0] * axis[0]), float(found.at[0] * axis[1])))
-    box = np.array([[-0.5, 0.5], [0.0, 0.5]])
-    return minimum_over_box(lambda f: np.abs(path.otf(f[:, 0], f[:, 1])), lipschitz, box, 1 / (3 * extent), budget)
+    axis, path = straight_axis(trajectory), open_path(trajectory, code, response=response, edges=edges)
+    if axis is None:
+        pieces = pieces_of_path(path)
+        return _bounded(pieces, _PATH_GAP, budget, lambda at: kantorovich(pieces, at))
+    uniform = response is None and edges is None and uniform_length_px(trajectory) is not None
+    found = _bounded(
+        pieces_along(path, axis),
+        _PATH_GAP,
+        budget,
+        lambda _: _first(zeros_along(trajectory, code).found) if uniform else None,
+    )
+    at = found.zero.at if found.zero else (float(found.at[0] * axis[0]), float(found.at[0] * axis[1]))
+    return Minimum(found.lower, found.upper, at, found.method, found.zero)
 
 
-def minimum_over_box(
-    modulus: Callable[[FloatArray], FloatArray], lipschitz: float, box: FloatArray, step: float, budget: int
-) -> Minimum:
-    """Bound the minimum of ``modulus`` over a box by a grid, refinement and subdivision.
-
-    Parameters
-    ----------
-    modulus : callable
-        (P, d) points to (P,) values, with Lipschitz constant ``lipschitz``.
-    lipschitz : float
-    box : (d, 2) float
-    step : float
-        Largest cell of the first grid.
-    budget : int
-        Points that subdivision may add to the first grid.
-    """
-    cells = np.maximum(1, np.ceil(np.ptp(box, axis=1) / step)).astype(int)
-    half = np.ptp(box, axis=1) / cells / 2
-    axes = [lo + h * (2 * np.arange(n) + 1) for lo, h, n in zip(box[:, 0], half, cells, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(box))
-    values = modulus(points)
-    grid = values.reshape(tuple(cells))
-    local = np.flatnonzero((ndimage.minimum_filter(grid, 3, mode="nearest") == grid).ravel())
-    local = local[np.argsort(values[local])][:_CANDIDATES]
-    upper, at = _refine(modulus, lipschitz, points[local], 2 * half, box)
-    slack = _SLACK * max(float(values.max()), upper)
-    corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * len(box), indexing="ij"), axis=-1).reshape(-1, len(box))
-    lower = upper
-    if upper <= 1e3 * slack:  # a zero: subdividing around it would never end
-        return Minimum(0.0, upper, tuple(float(v) for v in at))
+def _bounded(pieces: Pieces, gap: float, budget: int, prove: Callable[[FloatArray], Zero | None]) -> Minimum:
+    """Bound the minimum by a first grid, refinement, and subdivision of the cells that could hold less."""
+    dc = float(pieces.weight.sum())
+    plane, points_only = pieces.box[1, 1] > pieces.box[1, 0], not pieces.delta.any()
+    cells, half = first_cells(pieces) if plane else first_cells(pieces, cells_per_px=_ALONG)
+    lower, upper, at, tried = np.inf, np.inf, cells[0], np.inf
     while True:
-        floor = values - lipschitz * float(np.linalg.norm(half)) - slack
-        open_cells = floor < upper * (1 - _RELATIVE_GAP)
-        if not open_cells.all():
-            lower = min(lower, float(floor[~open_cells].min()))
-        count = int(open_cells.sum()) * len(corners)
-        if count == 0 or count > budget:
-            break
-        budget -= count
-        half = half / 2
-        points = (points[open_cells][:, None] + half * corners).reshape(-1, len(box))
-        values = modulus(points)
+        jet = jets(pieces, cells)
+        values = np.hypot(jet[:, 0], jet[:, 1])
         if values.min() < upper:
-            upper, at = float(values.min()), points[int(values.argmin())]
-    if count:
-        lower = min(lower, float(floor[open_cells].min()))
-    return Minimum(max(lower, 0.0), upper, tuple(float(v) for v in at))
+            starts = _local_minima(pieces, half, values) if upper == np.inf else np.argsort(values)[:_LATER]
+            points = snapped(polish(pieces, cells[starts])[0])
+            jet_there = jets(pieces, points)
+            lowest = np.hypot(jet_there[:, 0], jet_there[:, 1]) + pieces.slack
+            if lowest.min() < upper:
+                upper, at = float(lowest.min()), points[lowest.argmin()]
+        if upper < min(_NEARLY_ZERO * dc, 0.5 * tried):
+            tried = upper
+            zero = prove(at)
+            if zero is not None:
+                return Minimum(0.0, 0.0, zero.at, zero.method, zero)
+        floor = floors(pieces, jet, half)
+        closed = floor >= upper * (1 - gap)
+        lower = min(lower, float(floor[closed].min(initial=np.inf)))
+        ways, left = 2 ** (1 + plane), int((~closed).sum())
+        if points_only and left < _FEW and 0.1 * gap * upper < pieces.slack and not pieces.extended:
+            pieces = extended(pieces)
+            there = jets(pieces, at[None])[0]
+            upper = min(upper, float(np.hypot(there[0], there[1])) + pieces.slack)
+        budget -= left * ways
+        if left == 0 or budget < 0 or half.max() < 1e-15:
+            lower = min(lower, float(floor[~closed].min(initial=np.inf)), upper)
+            return Minimum(lower, upper, (float(at[0]), float(at[1])))
+        half = half / 2
+        corners = half * (np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) if plane else np.array([[-1, 0], [1, 0]]))
+        cells = (cells[~closed][:, None] + corners).reshape(-1, 2)
 
 
-def _refine(
-    modulus: Callable[[FloatArray], FloatArray], lipschitz: float, start: FloatArray, step: FloatArray, box: FloatArray
-) -> tuple[float, FloatArray]:
-    """Walk from every start to its local minimum by a shrinking stencil, dropping those that cannot win."""
-    dimensions = len(box)
-    stencil = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * dimensions, indexing="ij"), axis=-1).reshape(-1, dimensions)
-    points, values = start, modulus(start)
-    for _ in range(48):
-        trial = np.clip(points[:, None] + step * stencil, box[:, 0], box[:, 1])
-        found = modulus(trial.reshape(-1, dimensions)).reshape(trial.shape[:2])
-        pick = found.argmin(axis=1)
-        points, values = trial[np.arange(len(trial)), pick], found[np.arange(len(trial)), pick]
-        step = step * 0.55
-        # all later steps together move a point by less than step * 0.55 / 0.45 along each axis
-        can_win = values - 1.3 * lipschitz * float(np.linalg.norm(step)) <= values.min()
-        points, values = points[can_win], values[can_win]
-        if 1.3 * lipschitz * float(np.linalg.norm(step)) < 1e-9 * values.min():
-            break
-    best = int(values.argmin())
-    return float(values[best]), points[best]
+def _local_minima(pieces: Pieces, half: FloatArray, values: FloatArray) -> NDArray[np.intp]:
+    """Cells of the first grid that are lower than their neighbours: the lowest of them."""
+    shape = np.maximum(1, np.rint(np.ptp(pieces.box, axis=1) / np.maximum(2 * half, 1e-300))).astype(int)
+    grid = values.reshape(tuple(shape))
+    local = np.flatnonzero((ndimage.minimum_filter(grid, 3, mode="nearest") == grid).ravel())
+    return np.asarray(local[np.argsort(values[local])][:_CANDIDATES])
 
 
-def _chip_box() -> FloatArray:
-    return np.array([[0.0, 0.5]])
-
-
-def _polynomial(code: ShutterCode) -> tuple[Callable[[FloatArray], FloatArray], float]:
-    """|P| as a function of cycles per chip, and its Lipschitz constant."""
-    chips = np.flatnonzero(code.array > 0)
-    # the median makes the constant smallest; a shift in time does not change |P|
-    offsets = chips - np.median(chips)
-
-    def modulus(f: FloatArray) -> FloatArray:
-        return np.asarray(np.abs(np.exp(-2j * np.pi * f * offsets).sum(axis=1)), dtype=np.float64)
-
-    return modulus, 2 * np.pi * float(np.abs(offsets).sum())
+def _first(zeros: tuple[Zero, ...]) -> Zero | None:
+    return zeros[0] if zeros else None

@@ -7,13 +7,14 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cep.band import BandSamples, band, band_samples, uniform_length_px
 from cep.camera import Camera
 from cep.code import ShutterCode
-from cep.exposure import coded_otf
+from cep.exposure import open_path
 from cep.minimum import min_chip, mtf_minimum
+from cep.response import ShutterResponse
 from motdiff.trajectory import Trajectory
 
 __all__ = [
@@ -95,7 +96,13 @@ class CodeMetrics:
 
 
 def measure(
-    trajectory: Trajectory, code: ShutterCode, *, camera: Camera | None = None, budget: int = 20_000
+    trajectory: Trajectory,
+    code: ShutterCode,
+    *,
+    camera: Camera | None = None,
+    budget: int = 20_000,
+    response: ShutterResponse | None = None,
+    edges: ArrayLike | None = None,
 ) -> CodeMetrics:
     """Measure a code along a trajectory taken as given; measure ``trajectory.reversed()`` for the other direction.
 
@@ -107,28 +114,36 @@ def measure(
         For ``mse_db``; ``Camera()`` when omitted.
     budget : int
         Frequencies that the lower bound of the minimum may look at.
+    response : ShutterResponse, optional
+        How the shutter opens and closes; at once when omitted.
+    edges : (n + 1,) array_like, optional
+        Chip boundaries as fractions of the exposure; evenly spread over it when omitted. With either, the duty that
+        the figures are relative to is the light that came through, and ``min_chip`` is None.
 
     References
     ----------
     Agrawal and Raskar, "Optimal single image capture for motion deblurring", CVPR 2009: deconvolution noise.
     """
     samples = band_samples(trajectory)
-    modulus = np.abs(coded_otf(trajectory, code, samples.fx, samples.fy))
-    minimum = mtf_minimum(trajectory, code, budget=budget)
+    on_time = response is None and edges is None
+    path = open_path(trajectory, code, response=response, edges=edges)
+    duty = code.duty if on_time else float(path.dt.sum())
+    modulus = np.abs(path.otf(samples.fx, samples.fy))
+    minimum = mtf_minimum(trajectory, code, budget=budget, response=response, edges=edges)
     lowest = min(minimum.upper, float(modulus.min()))
     mean = float(samples.weight @ modulus)
     with np.errstate(divide="ignore"):
         noise_gain_db = float(10 * np.log10(samples.weight @ (1 / np.where(modulus < _ZERO, 0.0, modulus) ** 2)))
-    mse = wiener_mse(modulus**2, samples, noise_variance(camera or Camera(), code.duty))
+    mse = wiener_mse(modulus**2, samples, noise_variance(camera or Camera(), duty))
     return CodeMetrics(
         min_mtf=lowest,
         min_mtf_lower=min(minimum.lower, lowest),
-        min_over_duty=lowest / code.duty,
-        min_chip=None if uniform_length_px(trajectory) is None else min_chip(code),
+        min_over_duty=lowest / duty,
+        min_chip=min_chip(code) if on_time and uniform_length_px(trajectory) is not None else None,
         flatness_var=float(samples.weight @ (modulus - mean) ** 2),
-        flatness_ratio=lowest / code.duty,
+        flatness_ratio=lowest / duty,
         noise_gain_db=noise_gain_db,
-        dnf_db=noise_gain_db + 20 * float(np.log10(code.duty)),
+        dnf_db=noise_gain_db + 20 * float(np.log10(duty)),
         mse_db=10 * float(np.log10(mse)),
     )
 

@@ -47,6 +47,8 @@ class DeviceProfile:
         Time the device is blind after an opening (frame overhead): every gap must last longer than that or as long.
     on_bias_ns : int
         Time the device adds to every opening by itself; the command is shortened by it, and must remain possible.
+    rise_ns, fall_ns : int
+        Time the shutter takes from closed to fully open, and back, each a straight ramp that begins at its edge.
     closed_level : int
         Output level, 0 or 1, at which the shutter is closed.
     """
@@ -65,6 +67,8 @@ class DeviceProfile:
     max_rate_hz: float | None = None
     dead_time_ns: int = 0
     on_bias_ns: int = 0
+    rise_ns: int = 0
+    fall_ns: int = 0
     closed_level: int = 0
 
     def __post_init__(self) -> None:
@@ -223,7 +227,8 @@ def _check_field(name: str, value: Any, *, optional: bool) -> None:
         if value not in (0, 1):
             raise ValueError(f"closed_level is {value}: it must be 0 or 1")
     else:
-        least = 0 if name in {"dead_time_ns", "on_bias_ns", "min_on_ns", "min_off_ns"} else 1
+        zero = {"dead_time_ns", "on_bias_ns", "rise_ns", "fall_ns", "min_on_ns", "min_off_ns"}
+        least = 0 if name in zero else 1
         if value < least:
             raise ValueError(f"{name} is {value}: it must be at least {least}")
 

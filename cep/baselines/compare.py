@@ -79,7 +79,7 @@ def compare(
 
 
 def _costs(objective: Objective, codes: NDArray[np.int8]) -> NDArray[np.float64]:
-    step = max(1, _BATCH // objective.basis[0].size)
+    step = max(1, _BATCH // objective.rows[0].size)
     return np.concatenate([objective.cost_of(codes[i : i + step]) for i in range(0, len(codes), step)])
 
 

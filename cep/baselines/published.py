@@ -13,6 +13,7 @@ from cep.code import ShutterCode
 from cep.minimum import min_chip
 
 __all__ = [
+    "CLAIMS",
     "PUBLISHED",
     "PublishedCode",
     "best_for",
@@ -42,6 +43,19 @@ _BITS = {
     "merl-64-t192": (_MERL, "1001011010001111100001100111100110010100010010101100101010101101"),
     "barker-13": ("Barker sequence, signs mapped to 0 and 1", "1111100110101"),
 }
+CLAIMS: Mapping[str, tuple[int, float]] = MappingProxyType(
+    {
+        "merl-31-t62": (62, 0.087967),
+        "merl-31-t93": (93, 0.081576),
+        "merl-32-t64": (64, 0.118593),
+        "merl-32-t96": (96, 0.107646),
+        "merl-50-t850": (850, 0.055117),
+        "merl-64-t128": (128, 0.059397),
+        "merl-64-t192": (192, 0.049499),
+    }
+)
+"""Minima that their authors claim, relative to DC, with the points of the DFT they were read from."""
+
 # hex digits, most significant bit = first chip; the last n bits count
 _JEON_HEX = {
     30: "16A3809B",

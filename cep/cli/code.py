@@ -29,7 +29,12 @@ from cep.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from cep.verify import Verdict
+
 __all__ = ["audit", "mtf"]
+
+_LONG_CHIPS = 256  # beyond it three flips take minutes
+_SHOWN = 12  # zeros listed for people
 
 
 def audit(
@@ -37,8 +42,9 @@ def audit(
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
     flips: Annotated[
-        int, typer.Option("--flips", min=0, max=3, help="Look for better codes this many flips away.")
-    ] = 2,
+        int | None,
+        typer.Option("--flips", min=0, max=3, help="Look for better codes this many flips away. 3, long codes 2."),
+    ] = None,
     chip_ns: ChipNs = None,
     camera: CameraFile = None,
     photons: Photons = None,
@@ -48,20 +54,26 @@ def audit(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Measure a code: the certified minimum of its MTF, where its zeros are, and better codes a few flips away.
+    """Measure a code: its proven minimum and true zeros, the grids that hide them, and better codes a few flips away.
 
-    Without a motion the figures are those of a straight one of 1 px a chip. Noise gains above 100 dB, those of codes
-    with a zero, are null in JSON.
+    Without a motion the figures are those of a straight one of 1 px a chip. A code.json's certificate is checked by a
+    second, separate program: verified says whether it holds and why, null where there is none. Noise gains above 100
+    dB, those of codes with a zero, are null in JSON.
 
     Example: cep audit 1010000111000001010000110011110111010111001001100111
+
+    Example: cep audit code.json --trajectory trajectory.json --json
     """
-    from cep.audit import better_neighbours, minimum_along, null_threshold
+    from cep.audit import better_neighbours, grid_claims, null_threshold, zeros_by_direction
+    from cep.certificate import certify
     from cep.design import check_frame, check_resolved, judge
     from cep.files import json_text
     from cep.outputs import claim, write_text
+    from cep.verify import verify
     from motdiff.trajectory import Trajectory
 
-    shutter = load_code(code, chip_ns=chip_ns).code
+    stored = load_code(code, chip_ns=chip_ns)
+    shutter = stored.code
     noise = load_camera(camera, photons=photons, read_noise=read_noise)
     stated = trajectory is not None or linear is not None
     motion = load_motion(trajectory, linear).trajectory if stated else Trajectory.straight(float(shutter.chips))
@@ -71,21 +83,40 @@ def audit(
     metrics = judge(motion, shutter, camera=noise)
     # straight motion of constant speed: the code's polynomial decides, whatever the length
     where = None if metrics.min_chip is not None else motion
-    minimum = minimum_along(shutter, where)
-    unit = "chips" if where is None else "light-true"
+    far = flips if flips is not None else 3 if shutter.chips <= _LONG_CHIPS else 2
+    with progress("proving the minimum"):
+        minimum = certify(shutter, where)
+        zeros = zeros_by_direction(shutter, where)
+        grids = grid_claims(shutter, where, minimum.upper)
     with progress("looking at neighbours"):
-        neighbours = better_neighbours(shutter, where, flips=flips)
+        neighbours = better_neighbours(shutter, where, flips=far)
+    verdict = None
+    if stored.certificate:
+        path = (motion.t.tolist(), motion.xy.tolist()) if stated else None
+        verdict = verify(shutter.bits, stored.certificate, path=path)
     is_null = minimum.upper < null_threshold(shutter, where)
+    warnings = [f"the code has a zero at {_place(minimum.at, where is None)}"] if is_null else []
+    if verdict is not None and not verdict.holds:
+        warnings.append(f"{code}: its certificate is not confirmed: {verdict.reasons[-1]}")
     result = {
         **code_figures(shutter),
         **metrics.to_dict(),
         "motion": {"length_px": motion.length_px, "direction": motion.direction},
-        "certificate": {"lower": minimum.lower, "upper": minimum.upper, "unit": unit, "method": minimum.method},
+        # the path is the one that was asked for
+        "certificate": {name: value for name, value in minimum.to_dict().items() if name != "trajectory"},
         "lowest_at": minimum.at,
         "null": is_null,
+        "zeros": [
+            {"direction": way, **zero.to_dict(), "method": zero.method}
+            for way, them in zeros.items()
+            for zero in them.found
+        ],
+        "zeros_complete": all(them.complete for them in zeros.values()),
+        "grids": grids,
         "neighbours": [{"flips": n.flips, "bits": n.code.bits, "minimum": n.minimum} for n in neighbours],
+        "verified": verdict,
         "seed": seed,
-        "warnings": [f"the code has a zero at {_place(minimum.at, where is None)}"] if is_null else [],
+        "warnings": warnings,
     }
     if output:
         write_text(output, json_text(result))
@@ -99,11 +130,20 @@ def audit(
         console.print(table("", ("figure", "value"), rows))
         what, place = ("|P|", "chips") if where is None else ("|H|", "light-true"), _place(minimum.at, where is None)
         console.print(f"smallest {what[0]}: {minimum.lower:.6g} .. {minimum.upper:.6g} ({what[1]}) at {place}")
+        console.print(f"proof: {minimum.method}" + ("" if verdict is None else _in_words(verdict)))
+        for way, them in zeros.items():
+            known = "" if them.complete else " or more"
+            console.print(f"true zeros{'' if way == 'both' else ' ' + way}: {len(them.found)}{known}")
+            for zero in them.found[:_SHOWN]:
+                console.print(f"  {_place(zero.at, where is None)}, {zero.method}")
+            if len(them.found) > _SHOWN:
+                console.print(f"  and {len(them.found) - _SHOWN} more: --json lists them")
+        console.print(table("what grids say", ("grid", "minimum", ""), [(g.name, g.minimum, g.verdict) for g in grids]))
         rows_near = [(", ".join(map(str, n.flips)), n.minimum, n.code.bits) for n in neighbours]
         if rows_near:
             console.print(table("better codes nearby", ("flip chips", "minimum", "bits"), rows_near))
         else:
-            console.print(f"no code within {flips} flips has a larger minimum")
+            console.print(f"no better code was found within {far} flips")
 
     finish(result, as_json=as_json, show=show)
 
@@ -163,3 +203,7 @@ def mtf(
 def _place(at: tuple[float, ...], in_chips: bool) -> str:
     where = ", ".join(f"{value:.5f}" for value in at)
     return f"{where} cycles per chip" if in_chips else f"({where}) cycles/px"
+
+
+def _in_words(verdict: Verdict) -> str:
+    return "; the file's certificate is " + ("confirmed" if verdict.holds else f"refused: {verdict.reasons[-1]}")

@@ -1,88 +1,195 @@
-r"""What no code can exceed.
+r"""What no code can exceed: the smallest |H|, the smallest |P|, and how little noise a restoration can have.
 
-For any probability measure mu on frequencies, a code's smallest |H|^2 is at most its mean over mu, which is ``c' G c``
-with the Gram matrix ``G = Re int conj(B(f)) B(f)' dmu(f)`` of the chip basis. For a 0/1 code with k ones
-
-- ``c' G c <= k lambda_max(G)``, since ``|c|^2 = k``;
-- ``c' G c <= `` the sum of the k largest over i of ``G_ii +`` the k - 1 largest ``G_ij, j != i``.
-
-Frequencies near zero pass any code, so mu leaves them out: mu is uniform on the band outside a radius, and the best of
-several radii counts. Sums over samples are measures too, so no quadrature error enters.
+Each figure is the best of several arguments, which :mod:`cep.search.elementary` and :mod:`cep.search.dual` prove; the
+relaxation only supplies multipliers. Every bound holds for each number of open chips alone, and a problem's bound is
+the weakest over its range. Limits on runs and single chips are ignored, so the bounds hold with them. A shutter with
+ramps is only bounded by its light: its |H|^2 is no quadratic form in the code.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.band import band_samples, circle_samples
-from cep.exposure import chip_basis
+from cep.band import BandSamples, band_samples, straight_axis
+from cep.exposure import chip_basis, chip_parts
+from cep.search.dual import DualProof, circle_grid
+from cep.search.elementary import MotionBasis, chip_ceilings, mtf_ceilings, noise_floors
 from cep.search.problem import SearchProblem
+from cep.search.proving import relaxed, tightened
+from cep.search.relaxation import Relaxation
+from motdiff.trajectory import Trajectory
 
-__all__ = ["Bound", "bound"]
+__all__ = ["Bound", "bound", "relaxed_minimum"]
 
 FloatArray = NDArray[np.float64]
-_RADII = 12
+_MOST_NUMBERS = 2**22  # of a basis: 64 MB
+_MOST_CHIPS = 256  # of a relaxation
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Upper bounds over every code within a problem's light.
+    """Bounds over every code within a problem's light.
 
     Attributes
     ----------
     min_mtf : float
-        Of the smallest |H|, worst scenario. Run limits are ignored, so it holds with them.
+        No code's smallest |H| exceeds it, worst scenario and direction under either rule; light-true. On the unit
+        circle it is ``min_chip / chips``.
     min_chip : float
-        Of the smallest |P| over the unit circle, chips.
-    method : str
+        No code's smallest |P| over the unit circle exceeds it, chips.
+    noise : float
+        No code's ``10 log10 mean 1/|H|^2`` lies below it, worst scenario and direction; light-true. The mean is that of
+        :func:`cep.mtf.measure`; on the unit circle it is the one over the whole circle.
+    method : dict of str to str
+        The argument that won for each of the three.
+    proofs : tuple of DualProof
+        Of what the relaxation won, one for each number of open chips that it bounds better than the rest.
     """
 
     min_mtf: float
     min_chip: float
-    method: str = "parseval-gram"
+    noise: float
+    method: dict[str, str]
+    proofs: tuple[DualProof, ...] = ()
 
 
-def bound(problem: SearchProblem) -> Bound:
-    """Bound the smallest |H| of any code of ``problem``; the worst scenario's under either rule.
+def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") -> Bound:
+    """Bound what any code of ``problem`` can reach.
 
-    References
+    Parameters
     ----------
-    Parseval on the unit circle: mean |P|^2 = k, hence min |P| <= sqrt(k).
+    problem : SearchProblem
+    effort : {"quick", "sdp"}
+        Quick takes milliseconds to a second. "sdp" relaxes what the objective asks for: the smallest |H| along motions
+        for "min-mtf", in seconds, and the mean of 1/|H|^2 for "noise", up to a minute on a curved path.
+
+    Raises
+    ------
+    ValueError
+        If ``effort`` is another word.
     """
-    low, high = problem.open_limits
-    counts = range(low, high + 1)
-    chip = min(float(np.sqrt(high)), max(_gram_bound(_circle_basis(problem.chips), counts)))
-    # at zero frequency |H| is the duty
-    mtf = min(high, chip) / problem.chips if not problem.scenarios else high / problem.chips
+    if effort not in ("quick", "sdp"):
+        raise ValueError(f'effort: must be "quick" or "sdp", got {effort!r}')
+    counts = np.arange(problem.open_limits[0], problem.open_limits[1] + 1)
+    wanted = {name for name, _ in problem.objective_mix} if effort == "sdp" else set()
+    chip_name, chip = _best(chip_ceilings(problem.chips, counts))
+    parts, judged = _motions(problem)
+    light = _light(problem, counts)
+    proofs: list[DualProof] = []
+    if not problem.scenarios:
+        mtf_name, mtf = chip_name, chip / problem.chips
+    else:
+        mtf_name, mtf = _best({"light": light, **mtf_ceilings(parts, counts)})
+        if "min-mtf" in wanted and parts and problem.chips <= _MOST_CHIPS:
+            mtf, won = tightened(parts, counts, mtf, "min")
+            proofs += won
+            mtf_name = "sdp" if _decides(won, counts[mtf.argmax()]) else mtf_name
+    noise_name, noise = "light", -20 * np.log10(light)
+    worst: MotionBasis | None = None
+    for part in judged:
+        name, floors = _best(noise_floors(part, counts), upper=False)
+        if floors.min() > noise.min():
+            noise_name, noise, worst = name, floors, part
+    if "noise" in wanted and worst is not None and problem.chips <= _MOST_CHIPS:
+        noise, won = tightened([worst], counts, noise, "noise")
+        proofs += won
+        noise_name = "sdp" if _decides(won, counts[noise.argmin()]) else noise_name
+    names = {"min_mtf": mtf_name, "min_chip": chip_name, "noise": noise_name}
+    return Bound(float(mtf.max()), float(chip.max()), float(noise.min()), names, tuple(proofs))
+
+
+def relaxed_minimum(problem: SearchProblem, open_chips: int) -> Relaxation:
+    """Relax the largest smallest |H| of a number of open chips; its ``rounded_codes`` are starts for a search.
+
+    Raises
+    ------
+    ValueError
+        If ``open_chips`` is not within 2..n-1, the shutter has ramps, or no solver finds an optimum.
+    """
+    if not 1 < open_chips < problem.chips:
+        raise ValueError(f"open_chips: must be within 2..{problem.chips - 1}, got {open_chips}")
+    parts = _motions(problem)[0]
+    if not parts:
+        raise ValueError("response: the relaxation is for a shutter that follows at once")
+    return relaxed(parts, open_chips)[0]
+
+
+def _best(named: dict[str, FloatArray], *, upper: bool = True) -> tuple[str, FloatArray]:
+    """Best bound for each number of open chips, and the name of the one that decides where it is weakest."""
+    values = np.stack(list(named.values()))
+    best = values.min(axis=0) if upper else values.max(axis=0)
+    weakest = int(best.argmax() if upper else best.argmin())
+    column = values[:, weakest]
+    return list(named)[int(column.argmin() if upper else column.argmax())], best
+
+
+def _decides(proofs: list[DualProof], open_chips: np.intp) -> bool:
+    return any(proof.open_chips == open_chips for proof in proofs)
+
+
+def _motions(problem: SearchProblem) -> tuple[list[MotionBasis], list[MotionBasis]]:
+    """Bases of all motions, for minima, where any frequencies will do, and for means, on those of the quadrature."""
+    chips = problem.chips
+    if not problem.scenarios:
+        samples = circle_grid(chips)
+        basis = np.exp(-2j * np.pi * np.outer(np.arange(chips), samples.fx)) / chips
+        circle = [MotionBasis(None, False, samples, basis)]
+        return circle, circle
+    for_minima, for_means = [], []
+    for motion, both, edges in _played(problem):
+        samples = band_samples(motion)
+        affordable = chips * samples.fx.size <= _MOST_NUMBERS
+        if affordable:
+            basis = chip_basis(motion, chips, samples.fx, samples.fy, edges=edges)
+            for_means.append(MotionBasis(motion, both, samples, basis, edges))
+        if affordable and straight_axis(motion) is None:
+            for_minima.append(for_means[-1])
+            continue
+        samples = _thinned(band_samples(motion, oversampling=8), _MOST_NUMBERS // chips)
+        basis = chip_basis(motion, chips, samples.fx, samples.fy, edges=edges)
+        for_minima.append(MotionBasis(motion, both, samples, basis, edges))
+    return for_minima, for_means
+
+
+def _played(problem: SearchProblem) -> list[tuple[Trajectory, bool, FloatArray | None]]:
+    """Motions, whether both directions count, and chip edges; none for ramps, where |H|^2 is no quadratic form."""
+    if problem.response is not None and not problem.response.instant:
+        return []
+    found: list[tuple[Trajectory, bool, FloatArray | None]] = []
     for scenario in problem.scenarios:
-        samples = band_samples(scenario.trajectory, oversampling=16)
-        basis = chip_basis(scenario.trajectory, problem.chips, samples.fx, samples.fy)
-        mtf = min(mtf, max(_gram_bound((basis, np.hypot(samples.fx, samples.fy), samples.weight), counts)))
-    return Bound(mtf, chip)
+        motion, both, edges = scenario.trajectory, problem.both_directions(scenario.trajectory), scenario.edges
+        if edges is None:
+            found.append((motion, both, None))
+        else:  # the reversed path's chips are not the forward ones in another order
+            found += [(path, False, edges) for path in ([motion, motion.reversed()] if both else [motion])]
+    return found
 
 
-def _circle_basis(chips: int) -> tuple[NDArray[np.complex128], FloatArray, FloatArray]:
-    samples = circle_samples(chips, oversampling=16)
-    return np.exp(-2j * np.pi * np.outer(np.arange(chips), samples.fx)), samples.fx, samples.weight
+def _light(problem: SearchProblem, counts: NDArray[np.intp]) -> FloatArray:
+    """Most light that so many open chips let through, (K,), a fraction of the exposure; the darkest scenario's."""
+    if not problem.scenarios:
+        return np.asarray(counts / problem.chips, dtype=np.float64)
+    most = np.full(counts.size, np.inf)
+    for scenario in problem.scenarios:
+        basis, _, tail = chip_parts(
+            scenario.trajectory, problem.chips, 0.0, 0.0, response=problem.response, edges=scenario.edges
+        )
+        # what opening takes away and what a next chip shares is left out: it only lowers the light
+        each = np.sort(basis.real + tail.real)[::-1].cumsum()[counts - 1]
+        most = np.minimum(most, each)
+    return np.asarray(most * (1 + 1e-12), dtype=np.float64)
 
 
-def _gram_bound(sampled: tuple[NDArray[np.complex128], FloatArray, FloatArray], counts: range) -> list[float]:
-    """Bound of min |H| for each number of open chips."""
-    basis, radius, weight = sampled
-    best = np.full(len(counts), np.inf)
-    for inner in np.linspace(0, 0.95 * radius.max(), _RADII):
-        kept = radius >= inner
-        share = weight[kept] / weight[kept].sum()
-        part = basis[:, kept]
-        gram = np.real((part.conj() * share) @ part.T)
-        largest = float(np.linalg.eigvalsh(gram)[-1])
-        diagonal = np.diag(gram).copy()
-        others = np.sort(np.where(np.eye(len(gram), dtype=bool), -np.inf, gram), axis=1)[:, ::-1]
-        for index, k in enumerate(counts):
-            rows = diagonal + others[:, : k - 1].sum(axis=1)
-            best[index] = min(best[index], k * largest, float(np.sort(rows)[::-1][:k].sum()))
-    # rounding of the eigenvalue solver and of the sums
-    return [float(np.sqrt(max(value, 0.0) * (1 + 1e-9) + 1e-15)) for value in best]
+def _thinned(samples: BandSamples, most: int) -> BandSamples:
+    every = slice(None, None, -(-samples.fx.size // most))
+    return BandSamples(
+        samples.fx[every],
+        samples.fy[every],
+        samples.weight[every],
+        samples.radius2[every],
+        samples.radius2_weight[every],
+    )

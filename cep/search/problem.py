@@ -12,6 +12,11 @@ from cep.band import uniform_length_px
 from cep.camera import Camera
 from cep.code import ShutterCode
 from cep.mtf import CodeMetrics, measure, worst_of
+from cep.playing import check_lengths, checked_edges
+from cep.response import ShutterResponse
+from cep.search.drawing import draw
+from cep.search.limits import Limits, check_feasible, checked_mask
+from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
 __all__ = ["OBJECTIVES", "Scenario", "SearchProblem", "open_range_of_duty"]
@@ -19,14 +24,6 @@ __all__ = ["OBJECTIVES", "Scenario", "SearchProblem", "open_range_of_duty"]
 BoolArray = NDArray[np.bool_]
 OBJECTIVES = ("min-mtf", "flatness", "noise", "mse")
 DirectionRule = Literal["auto", "unknown", "forward"]
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """A motion that may happen, with its weight."""
-
-    trajectory: Trajectory
-    weight: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,11 +51,15 @@ class SearchProblem:
         Most open runs.
     camera : Camera
         For the objective "mse".
+    fixed : str, optional
+        A character per chip: "1" forced open, "0" forced closed, "?" free; see :func:`cep.search.limits.fixed_mask`.
+    response : ShutterResponse, optional
+        How the shutter opens and closes along the scenarios; at once when omitted.
 
     Raises
     ------
     ValueError
-        If an argument is malformed, or limits conflict; the line says which.
+        If an argument is malformed, or limits conflict: the line names a smallest set of them that no code keeps.
     """
 
     chips: int
@@ -71,6 +72,8 @@ class SearchProblem:
     min_closed: int = 1
     max_pulses: int | None = None
     camera: Camera = field(default_factory=Camera)
+    fixed: str | None = None
+    response: ShutterResponse | None = None
 
     def __post_init__(self) -> None:
         for name in ("chips", "min_open", "min_closed", "max_pulses"):
@@ -89,6 +92,13 @@ class SearchProblem:
             raise ValueError("objective: needs at least one objective")
         if not all(np.isfinite(s.weight) and s.weight > 0 for s in self.scenarios):
             raise ValueError("scenarios: every weight must be above 0")
+        if self.response is not None and not self.scenarios:
+            raise ValueError("response: needs a motion (scenarios), the unit circle of a polynomial has no ramps")
+        for scenario in self.scenarios:
+            edges = checked_edges(scenario.edges, self.chips)
+            if self.response is not None:
+                check_lengths(edges, self.response)
+        object.__setattr__(self, "fixed", checked_mask(self.fixed, self.chips))
         self._check_feasible()
 
     @classmethod
@@ -109,8 +119,15 @@ class SearchProblem:
 
     @property
     def constrained(self) -> bool:
-        """Whether any run or pulse limit is set."""
-        return self.min_open > 1 or self.min_closed > 1 or self.max_pulses is not None
+        """Whether any limit is set besides the number of open chips: on runs, pulses or single chips."""
+        runs = self.min_open > 1 or self.min_closed > 1 or self.max_pulses is not None
+        return runs or self.fixed is not None
+
+    @property
+    def limits(self) -> Limits:
+        """Everything that a code must keep."""
+        low, high = self.open_range or (1, self.chips)
+        return Limits(self.chips, (low, high), self.min_open, self.min_closed, self.max_pulses, self.fixed)
 
     def both_directions(self, trajectory: Trajectory) -> bool:
         """Whether the reversed path is designed for as well; a uniform straight one is its own mirror image."""
@@ -131,44 +148,34 @@ class SearchProblem:
             ok &= (_opening(closed, self.min_closed) == closed).all(axis=1)
         if self.max_pulses is not None:
             ok &= np.diff(is_open.astype(np.int8), axis=1, prepend=0).clip(0).sum(axis=1) <= self.max_pulses
+        if self.fixed is not None:
+            marks = np.frombuffer(self.fixed.encode(), dtype=np.uint8)
+            ok &= ((marks == ord("?")) | (is_open == (marks == ord("1")))).all(axis=1)
         return np.asarray(ok, dtype=np.bool_)
 
     def random_codes(self, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
-        """Draw ``count`` codes within the limits, (count, n) of 0 and 1."""
-        low, high = self.open_limits
-        codes = np.zeros((count, self.chips), dtype=np.int8)
-        for row in codes:
-            k = int(rng.integers(low, high + 1))
-            if not self.constrained:
-                row[rng.permutation(self.chips)[:k]] = 1
-                continue
-            most = min(self.max_pulses or k, k // self.min_open, (self.chips - k) // self.min_closed + 1)
-            pulses = int(rng.integers(1, most + 1))
-            lengths = self.min_open + _composition(k - pulses * self.min_open, pulses, rng)
-            gaps = _composition(self.chips - k - (pulses - 1) * self.min_closed, pulses + 1, rng)
-            gaps[1:-1] += self.min_closed
-            start = 0
-            for gap, length in zip(gaps, lengths, strict=False):
-                row[start + gap : start + gap + length] = 1
-                start += gap + length
-        return codes
+        """Draw ``count`` codes within the limits, all equally likely, (count, n) of 0 and 1; see :func:`draw`."""
+        return draw(self.limits, count, rng=rng)
 
     def measure(self, code: ShutterCode, *, budget: int = 20_000) -> CodeMetrics:
-        """Worst of each figure over all scenarios and directions; on the unit circle, along ``chips`` px straight."""
+        """Worst of each figure over all scenarios and directions; on the unit circle, along ``chips`` px straight.
+
+        The shutter opens and closes as :attr:`response` says, and the chips are played at each scenario's edges.
+        """
         if code.chips != self.chips:
             raise ValueError(f"code: must have {self.chips} chips, got {code.chips}")
-        paths = [s.trajectory for s in self.scenarios] or [Trajectory.straight(float(self.chips))]
-        paths += [path.reversed() for path in paths if self.both_directions(path)]
-        return worst_of(*(measure(path, code, camera=self.camera, budget=budget) for path in paths))
+        found = []
+        for scenario in self.scenarios or (Scenario(Trajectory.straight(float(self.chips))),):
+            for turned in (False, True) if self.both_directions(scenario.trajectory) else (False,):
+                path = scenario.path(reversed_path=turned)
+                shutter, edges = self.response, scenario.edges
+                found.append(measure(path, code, camera=self.camera, budget=budget, response=shutter, edges=edges))
+        return worst_of(*found)
 
     def _check_feasible(self) -> None:
-        if self.open_range is None:
-            if self.min_open > self.chips:
-                raise ValueError(
-                    f"min_open: runs of {self.min_open} open chips do not fit a code of {self.chips} chips"
-                )
-            return
-        low, high = self.open_range
+        low, high = self.open_range or (1, self.chips)
+        if self.min_open > self.chips:
+            raise ValueError(f"min_open: runs of {self.min_open} open chips do not fit a code of {self.chips} chips")
         if low > high:
             raise ValueError(f"open_range: fewest {low} is above most {high}")
         if low < 1 or high > self.chips:
@@ -177,6 +184,7 @@ class SearchProblem:
             raise ValueError(
                 f"min_open: runs of {self.min_open} open chips conflict with at most {high} open chips (open_range)"
             )
+        check_feasible(self.limits)
 
 
 def open_range_of_duty(chips: int, low: float, high: float) -> tuple[int, int]:
@@ -204,9 +212,3 @@ def _opening(mask: BoolArray, length: int) -> BoolArray:
     for shift in range(length):
         kept[:, shift : shift + full.shape[1]] |= full
     return kept
-
-
-def _composition(total: int, parts: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Split ``total`` into ``parts`` non-negative whole numbers, all splits equally likely."""
-    bars = np.sort(rng.choice(total + parts - 1, parts - 1, replace=False))
-    return np.diff(np.concatenate([[-1], bars, [total + parts - 1]])) - 1

@@ -13,7 +13,6 @@ from cep.minimum import min_chip
 from cep.mtf import measure
 from cep.search.anneal import anneal
 from cep.search.bounds import bound
-from cep.search.moves import propose
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem, open_range_of_duty
 from motdiff.trajectory import Trajectory
@@ -53,7 +52,7 @@ def test_agrees_with_brute_force(objective, where):
         "limits": {"chips": 12, "min_open": 2, "min_closed": 2, "max_pulses": 3, "open_range": (5, 8)},
     }[where]
     problem = SearchProblem(objective=objective, **options)
-    found = anneal(problem, rng=np.random.default_rng(0), steps=6000 if problem.constrained else 30_000)
+    found = anneal(problem, rng=np.random.default_rng(0), steps=200_000)
     assert found.objective == pytest.approx(brute_force(problem), abs=1e-6)
 
 
@@ -61,7 +60,7 @@ def test_agrees_with_brute_force(objective, where):
 @pytest.mark.parametrize("direction", ["unknown", "forward"])
 def test_agrees_with_brute_force_on_a_curve(objective, direction):
     problem = SearchProblem.along(arc(), chips=10, open_range=(5, 5), objective=objective, direction=direction)
-    found = anneal(problem, rng=np.random.default_rng(0), steps=2500)
+    found = anneal(problem, rng=np.random.default_rng(0), steps=100_000)
     assert found.objective == pytest.approx(brute_force(problem), abs=1e-6)
 
 
@@ -96,35 +95,6 @@ def test_scenarios_combine_by_rule_and_in_any_order():
     assert np.allclose(costs(paths[::-1], "worst"), costs(paths, "worst"))
 
 
-@given(st.integers(0, 1000), st.integers(2, 20), st.booleans(), st.data())
-@settings(max_examples=60)
-def test_moves_keep_the_limits_and_the_books(seed, chips, unlimited, data):
-    rng = np.random.default_rng(seed)
-    low = data.draw(st.integers(1, chips))
-    high = data.draw(st.integers(low, chips))
-    limits = (
-        {}
-        if unlimited
-        else {
-            "min_open": data.draw(st.integers(1, high)),
-            "min_closed": data.draw(st.integers(1, 5)),
-            "max_pulses": data.draw(st.integers(1, 4)),
-        }
-    )
-    problem = SearchProblem(chips=chips, open_range=(low, high), **limits)
-    codes = problem.random_codes(6, rng=rng)
-    assert problem.satisfied(codes).all()
-    basis = rng.normal(size=(chips, 2, 3))
-    otf = np.tensordot(codes, basis, 1)
-    for _ in range(10):
-        change = propose(problem, codes, rng=rng)
-        assert np.allclose(change.applied(otf, basis), np.tensordot(change.codes, basis, 1), atol=1e-9)
-        assert np.array_equal(change.codes.sum(1, dtype=int), codes.sum(1, dtype=int) + change.opened)
-        assert np.array_equal(problem.satisfied(change.codes) | ~change.allowed, np.ones(6, bool))
-        codes = np.where(change.allowed[:, None], change.codes, codes)
-        otf = np.tensordot(codes, basis, 1)
-
-
 @given(st.text("01", min_size=8, max_size=24), st.integers(1, 4), st.integers(1, 4), st.integers(1, 5))
 def test_limits_mean_what_the_runs_say(bits, min_open, min_closed, max_pulses):
     bits = "1" + bits
@@ -145,7 +115,7 @@ def test_results_keep_the_limits(seed, chips, min_open, min_closed, max_pulses):
     problem = SearchProblem(
         chips=chips, min_open=min_open, min_closed=min_closed, max_pulses=max_pulses, open_range=(3, chips - 2)
     )
-    found = anneal(problem, rng=np.random.default_rng(seed), steps=600)
+    found = anneal(problem, rng=np.random.default_rng(seed), steps=5000)
     assert problem.satisfied(found.code.array[None])[0]
 
 

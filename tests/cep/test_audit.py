@@ -1,15 +1,20 @@
 """Neighbours of a code, against brute force; zeros where theory puts them."""
 
+import json
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.audit import better_neighbours, minimum_along, null_threshold
+from cep.audit import better_neighbours, grid_claims, minimum_along, null_threshold, zeros_by_direction
+from cep.baselines.published import CLAIMS, PUBLISHED
+from cep.certificate import certify
 from cep.code import ShutterCode
 from cep.exposure import coded_otf
+from cep.files import StoredCode, write_code
 from cep.minimum import min_chip
 from motdiff.trajectory import Trajectory
 
@@ -21,11 +26,11 @@ def flipped(bits, places):
 
 
 @settings(max_examples=15, deadline=None)
-@given(st.text("01", min_size=6, max_size=10).filter(lambda bits: "1" in bits))
+@given(st.text("01", min_size=6, max_size=8).filter(lambda bits: "1" in bits))
 def test_the_best_neighbours_are_found(bits):
     code = ShutterCode(bits)
-    found = {len(n.flips): n for n in better_neighbours(code, flips=2)}
-    for flips in (1, 2):
+    found = {len(n.flips): n for n in better_neighbours(code, flips=3)}
+    for flips in (1, 2, 3):
         others = [flipped(bits, places) for places in combinations(range(len(bits)), flips)]
         best = max(min_chip(ShutterCode(other)) for other in others if "1" in other)
         if best > 1.01 * min_chip(code) + 1e-9:
@@ -64,3 +69,93 @@ def test_neighbours_along_a_path_are_better_there():
     code = ShutterCode("111111")
     for neighbour in better_neighbours(code, known, flips=2):
         assert neighbour.minimum > minimum_along(code, known).upper
+
+
+def test_three_flips_of_a_known_code():
+    """Against a plain search over all 22,100 triples on a grid of 16 points a chip."""
+    found = better_neighbours(PUBLISHED["raskar-52"], flips=3)
+    assert [n.flips for n in found] == [(37,), (37, 48), (14, 37, 40)]
+    assert found[1].minimum == pytest.approx(1.6170, abs=1e-4)
+
+
+def test_keeping_more_neighbours():
+    found = better_neighbours(PUBLISHED["merl-31-t62"], flips=1, keep=5)
+    assert len(found) == 5
+    assert [n.minimum for n in found] == sorted((n.minimum for n in found), reverse=True)
+    with pytest.raises(ValueError, match="flips: must be 0 to 3"):
+        better_neighbours(PUBLISHED["bdinr-8"], flips=4)
+
+
+def test_neighbours_on_a_curve_against_brute_force():
+    path = Trajectory.from_samples([[0, 0], [1.5, 0.3], [2.2, 1.2]])
+    bits = "110010"
+    here = minimum_along(ShutterCode(bits), path).upper
+    every = [flipped(bits, places) for places in combinations(range(6), 2)]
+    best = max((minimum_along(ShutterCode(b), path).upper, b) for b in every if "1" in b)
+    (found,) = (n for n in better_neighbours(ShutterCode(bits), path, flips=2) if len(n.flips) == 2)
+    assert best[0] > here
+    assert found.minimum == pytest.approx(best[0], rel=1e-3)
+
+
+@pytest.mark.parametrize(("name", "points"), [(name, claim[0]) for name, claim in CLAIMS.items()])
+def test_grids_are_called_what_they_are(name, points):
+    code = PUBLISHED[name]
+    truth = minimum_along(code, None).upper
+    claims = {claim.points: claim for claim in grid_claims(code, None, truth)}
+    assert list(claims) == sorted(claims)
+    for claim in claims.values():
+        assert claim.minimum == pytest.approx(np.abs(np.fft.fft(code.array, claim.points)).min())
+    if points in claims:
+        expected = {"merl-31-t62": "hides the zero", "merl-50-t850": "honest"}.get(name, "overstates")
+        assert claims[points].verdict == expected
+    assert grid_claims(ShutterCode("1" * 16), None, 0.0)[0].verdict == "honest"
+
+
+def test_grids_along_a_path():
+    # the open shutter's zeros at multiples of 1/32 lie on these grids; those of 31 px lie between
+    assert {c.verdict for c in grid_claims(ShutterCode("1"), Trajectory.straight(32.0), 0.0)} == {"honest"}
+    bent = Trajectory.from_samples([[0, 0], [14, 3], [31, 5]])
+    truth = minimum_along(ShutterCode("1101"), bent)
+    assert truth.upper == 0
+    assert "hides the zero" in {c.verdict for c in grid_claims(ShutterCode("1101"), bent, 0.0)}
+
+
+def test_zeros_are_listed_by_direction():
+    known = Trajectory(BENT.t, BENT.xy, "known")
+    assert set(zeros_by_direction(ShutterCode("1101"), None)) == {"both"}
+    assert set(zeros_by_direction(ShutterCode("1101"), known)) == {"forward"}
+    both = zeros_by_direction(ShutterCode("1101"), BENT)
+    assert set(both) == {"forward", "backward"}
+    at = np.array([zero.at for zero in both["backward"].found]).reshape(-1, 2)
+    otf = coded_otf(BENT.reversed(), ShutterCode("1101"), at[:, 0], at[:, 1])
+    assert np.abs(otf) == pytest.approx(np.zeros(len(at)), abs=1e-9)
+
+
+def test_the_command_tells_zeros_grids_and_no_verdict(cep):
+    found = cep.succeeds("audit", "merl-31-t62", "--flips", "1")
+    assert [(zero["at"], zero["method"]) for zero in found["zeros"]] == [([1 / 6], "root of unity of order 6")]
+    assert found["zeros_complete"]
+    assert {grid["verdict"] for grid in found["grids"]} == {"hides the zero"}
+    assert found["verified"] is None
+    assert found["certificate"]["upper"] == 0
+    assert found["certificate"]["unit"] == "chips"
+    shown = cep("audit", "merl-31-t62", "--flips", "0").out
+    assert "root of unity of order 6" in shown
+    assert "hides the zero" in shown
+
+
+def test_the_command_checks_a_stored_certificate(cep, workplace):
+    code = ShutterCode("110100")
+    path = Trajectory.from_samples([[0, 0], [1.5, 0.3], [2.2, 1.2]])
+    for motion in (None, path):
+        write_code("mine.json", StoredCode(code, certificate=certify(code, motion).to_dict()))
+        found = cep.succeeds("audit", "mine.json", "--flips", "0")
+        assert found["verified"]["holds"], found["verified"]
+        document = json.loads(Path("mine.json").read_text())
+        document["certificate"]["lower"] *= 1.01
+        document["certificate"]["upper"] *= 1.01
+        Path("forged.json").write_text(json.dumps(document))
+        found = cep.succeeds("audit", "forged.json", "--flips", "0")
+        assert not found["verified"]["holds"]
+        assert "not confirmed" in found["warnings"][0]
+        assert "refused" in cep("audit", "forged.json", "--flips", "0").out

@@ -5,10 +5,11 @@ import pytest
 
 from cep.camera import Camera
 from cep.code import ShutterCode
-from cep.design import check_resolved, expected_psnr_db, judge, limits_of_device
+from cep.design import check_resolved, expected_psnr_db, judge, limits_of_device, response_of_device
 from cep.mtf import measure
+from cep.response import ShutterResponse
 from cep.search.problem import SearchProblem
-from hw.device import DeviceProfile
+from hw.device import DeviceProfile, load_profile
 from hw.program import Program
 from motdiff.trajectory import Trajectory
 
@@ -67,3 +68,38 @@ def test_codes_within_the_translated_limits_can_be_played():
     for chips in problem.random_codes(40, rng=np.random.default_rng(0)):
         program = Program.from_bits(chips.tolist(), chip_ns=1_000)
         assert slow.check(program) == ()
+
+
+@pytest.mark.parametrize(
+    ("chip_ns", "line"),
+    [
+        (1_250, "whole ticks of 500 ns, from 1000 ns to 3000 ns, got 1250 ns; 1000 or 1500 ns would do"),
+        (700, "got 700 ns; 1000 ns would do"),
+        (500, "got 500 ns; 1000 ns would do"),
+        (3_400, "got 3400 ns; 3000 ns would do"),
+        (9_000, "got 9000 ns; 3000 ns would do"),
+    ],
+)
+def test_chip_times_are_whole_ticks_within_range(chip_ns, line):
+    device = DeviceProfile(name="clock", tick_ns=500, min_chip_ns=900, max_chip_ns=3_400)
+    for refused in (lambda: limits_of_device(device, chips=8, chip_ns=chip_ns),
+                    lambda: response_of_device(device, chip_ns)):  # fmt: skip
+        with pytest.raises(ValueError, match=r"^chip_ns: clock plays chips of") as caught:
+            refused()
+        assert str(caught.value).endswith(line)
+    for played in (1_000, 1_500, 3_000):
+        assert limits_of_device(device, chips=8, chip_ns=played)["min_open"] == 1
+    free = DeviceProfile(name="free", tick_ns=300)
+    with pytest.raises(ValueError, match="from 300 ns, got 1000 ns; 900 or 1200 ns would do"):
+        limits_of_device(free, chips=8, chip_ns=1_000)
+
+
+def test_a_devices_ramps():
+    assert response_of_device(load_profile("generic"), 1_000) is None
+    flc = response_of_device(load_profile("flc"), 200_000)
+    assert flc == ShutterResponse(chip_ns=200_000, rise_ns=50_000, fall_ns=50_000)
+    biased = DeviceProfile(name="biased", rise_ns=10, on_bias_ns=30)
+    assert response_of_device(biased, 100) == ShutterResponse(chip_ns=100, rise_ns=10, on_bias_ns=30)
+    assert response_of_device(biased, 100, bias_corrected=True) == ShutterResponse(chip_ns=100, rise_ns=10)
+    with pytest.raises(ValueError, match=r"chip_ns: flc takes 50000 ns to open or close, .* got 40000 ns"):
+        response_of_device(load_profile("flc"), 40_000)

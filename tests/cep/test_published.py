@@ -1,9 +1,12 @@
 """The registry, re-measured on the continuous circle: table of published codes, false claims included."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from cep.baselines.published import (
+    CLAIMS,
     PUBLISHED,
     best_for,
     best_rotation,
@@ -14,7 +17,7 @@ from cep.baselines.published import (
     published,
 )
 from cep.code import ShutterCode
-from cep.minimum import min_chip
+from cep.minimum import chip_minimum, min_chip
 from cep.mtf import chip_noise_db
 
 # name, chips, open, min |P|, absolute noise gain in dB (None: a true zero makes it infinite)
@@ -74,10 +77,50 @@ def test_table_is_reproduced(name, chips, opened, minimum, noise_db):
 
 def test_false_claims_by_merl():
     """0.088 and 0.119 of DC were claimed, on grids of 62 and 64 points; the truth is 0 and 0.0235."""
-    for name, points, claimed, truth in (("merl-31-t62", 62, 0.087967, 0.0), ("merl-32-t64", 64, 0.118593, 0.0235)):
+    for name, (points, claimed) in CLAIMS.items():
         code = PUBLISHED[name]
         assert np.abs(np.fft.fft(code.array, points)).min() / code.open_chips == pytest.approx(claimed, abs=1e-3)
-        assert min_chip(code) / code.open_chips == pytest.approx(truth, abs=1e-4)
+    for name, truth, told in (("merl-31-t62", 0.0, "0.0000"), ("merl-32-t64", 0.0235, "0.0235")):
+        found = chip_minimum(PUBLISHED[name])
+        assert found.upper / PUBLISHED[name].open_chips == pytest.approx(truth, abs=5e-5)
+        assert f"{found.lower / PUBLISHED[name].open_chips:.4f}" == told
+    assert chip_minimum(PUBLISHED["merl-31-t62"]).at == (1 / 6,)
+    assert chip_minimum(PUBLISHED["merl-31-t62"]).upper == 0
+
+
+LEAGUE = [
+    [cell.strip() for cell in line.strip("|\n").split("|")]
+    for line in (Path(__file__).resolve().parents[2] / "docs" / "league.md").read_text().replace("\\|", "").splitlines()
+    if line.startswith("| ") and not line.startswith("| code")
+]
+
+
+def test_the_league_is_complete():
+    assert [row[0] for row in LEAGUE] == [*names(), *CLAIMS]
+
+
+@pytest.mark.parametrize("row", LEAGUE[: len(names())], ids=lambda row: row[0])
+def test_the_league_is_what_is_measured_now(row):
+    name, chips, opened, interval, relative, claim, noise, noise_dc = row
+    code = PUBLISHED[name]
+    found = chip_minimum(code)
+    assert (int(chips), int(opened)) == (code.chips, code.open_chips)
+    assert interval == f"{found.lower:.4f} .. {found.upper:.4f}"
+    assert float(relative) == pytest.approx(found.upper / code.open_chips, abs=6e-5)
+    assert float(claim) == pytest.approx(np.abs(np.fft.fft(code.array)).min(), abs=6e-5)
+    measured = chip_noise_db(code) if found.upper > 0 else np.inf
+    assert float(noise) == pytest.approx(measured, abs=6e-3)
+    assert float(noise_dc) == pytest.approx(measured + 20 * np.log10(code.open_chips), abs=6e-3)
+
+
+@pytest.mark.parametrize("row", LEAGUE[len(names()) :], ids=lambda row: row[0])
+def test_the_claims_are_what_is_measured_now(row):
+    name, points, claim, relative, at, proof = row
+    found = chip_minimum(PUBLISHED[name])
+    assert (int(points), float(claim)) == CLAIMS[name]
+    assert float(relative) == pytest.approx(found.upper / PUBLISHED[name].open_chips, abs=6e-5)
+    assert float(at) == pytest.approx(found.at[0], abs=2e-6)
+    assert proof == found.method
 
 
 @pytest.mark.parametrize("chips", [15, 31, 63, 127])

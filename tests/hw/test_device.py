@@ -85,6 +85,15 @@ def test_built_in_profiles_load_under_their_own_names():
     assert load_profile("generic").check(Program.from_bits(RASKAR, chip_ns=1)) == ()
 
 
+def test_liquid_crystals_have_ramps_and_others_none():
+    assert {load_profile(name).rise_ns for name in ("generic", "cxp-avr")} == {0}
+    flc, nematic = load_profile("flc"), load_profile("lc-dual-frequency")
+    assert 0 < flc.rise_ns == flc.fall_ns < nematic.rise_ns == nematic.fall_ns
+    ramps = parse_profile('schema = "hw.device/1"\nname = "mine"\nrise_ns = 30\nfall_ns = 0\n')
+    assert (ramps.rise_ns, ramps.fall_ns) == (30, 0)
+    assert ramps.check(Program.from_bits("101", chip_ns=40)) == ()  # a ramp limits no program
+
+
 def test_users_profile_from_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('schema = "hw.device/1"\nname = "mine"\nmax_duty = 0.3\nclosed_level = 1\n')
@@ -110,6 +119,8 @@ def test_users_profile_from_file(tmp_path):
         ('name = "x"\nmin_on_ns = true', "finite number"),
         ('name = "x"\nmin_on_ns = "5"', "finite number"),
         ('name = "x"\ntick_ns = 0', "at least 1"),
+        ('name = "x"\nrise_ns = -1', "rise_ns is -1: it must be at least 0"),
+        ('name = "x"\nfall_ns = 0.5', "whole number"),
         ('name = "x"\nclosed_level = 2', "0 or 1"),
         ('name = "x"\nmin_on_ns = 9\nmax_on_ns = 8', "must not exceed"),
         ('name = "x"\nmin_chip_ns = 9\nmax_chip_ns = 8', "must not exceed"),
@@ -134,7 +145,7 @@ def test_bad_files_get_one_clear_line(tmp_path):
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00")
     for name, words in [
-        ("no-such", "built in are cxp-avr, generic"),
+        ("no-such", "built in are cxp-avr, flc, generic"),
         (tmp_path / "missing.toml", "No such file"),
         (tmp_path, "cannot be read"),
         (binary, "not UTF-8"),

@@ -1,0 +1,212 @@
+"""Exact arithmetic on a code's 0/1 polynomial: at which points of the unit circle it truly vanishes.
+
+A zero on the circle is shared with the reversed polynomial, so it divides the greatest common divisor of the two: a
+product of cyclotomic polynomials (roots of unity), times a self-reciprocal rest. On the circle the rest is a real
+function but for its phase, whose zeros are changes of sign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["SignChange", "circle_rest", "divided", "divisible", "real_form", "sign_changes", "vanishing_orders"]
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+_PRIME = 2**31 - 1
+_CELLS = 200_000
+
+
+@dataclass(frozen=True)
+class SignChange:
+    """A frequency, cycles per chip, around which a real function on the circle changes sign within ``radius``."""
+
+    at: float
+    radius: float
+
+
+def vanishing_orders(coefficients: IntArray) -> tuple[int, ...]:
+    """Orders d of the roots of unity at which an integer polynomial (lowest degree first) vanishes, in rising order.
+
+    Examples
+    --------
+    >>> vanishing_orders(np.ones(6, dtype=np.int64))
+    (2, 3, 6)
+    """
+    degree = len(coefficients) - 1
+    # phi(d) <= degree, and phi(d) > d / 6 for every d up to 500,000
+    orders = (d for d, phi in enumerate(_totients(6 * degree + 6)) if 0 < phi <= degree)
+    return tuple(d for d in orders if divisible(coefficients, d))
+
+
+def divisible(coefficients: IntArray, order: int) -> bool:
+    """Whether the cyclotomic polynomial of ``order`` divides, decided in integers.
+
+    It does exactly if ``z^d - 1`` divides the product with ``z^(d/p) - 1`` over the primes p of d: those contain every
+    other factor of ``z^d - 1``, and never this one.
+    """
+    rest = np.zeros(order, dtype=np.int64)
+    padded = np.zeros(-(-len(coefficients) // order) * order, dtype=np.int64)
+    padded[: len(coefficients)] = coefficients
+    rest += padded.reshape(-1, order).sum(axis=0)
+    for prime in _primes_of(order):
+        rest = np.roll(rest, order // prime) - rest
+    return not rest.any()
+
+
+def divided(coefficients: IntArray, order: int) -> IntArray:
+    """Quotient by the cyclotomic polynomial of ``order`` > 1, which must divide."""
+    # Phi_d is the product of (1 - z^(d/e))^mu(e) over the squarefree e: as power series, shifts and running sums
+    rest, squarefree = coefficients.copy(), [(1, 1)]
+    for prime in _primes_of(order):
+        squarefree += [(e * prime, -sign) for e, sign in squarefree]
+    for e, sign in squarefree:
+        step = order // e
+        if sign > 0:
+            for start in range(min(step, len(rest))):
+                rest[start::step] = np.cumsum(rest[start::step])
+        else:
+            rest[step:] = rest[step:] - rest[:-step]
+    kept = np.flatnonzero(rest)
+    return np.asarray(rest[: kept[-1] + 1], dtype=np.int64)
+
+
+def circle_rest(coefficients: IntArray) -> IntArray | None:
+    """Factor that holds every zero on the circle which is no root of unity; (1,) where there is none.
+
+    Parameters
+    ----------
+    coefficients : (m,) int
+        0/1 polynomial, lowest degree first, first and last coefficient not 0.
+
+    Returns
+    -------
+    (r,) int, self-reciprocal up to sign and an exact divisor, or None where it could not be found.
+    """
+    rest = coefficients
+    for order in vanishing_orders(coefficients):
+        while divisible(rest, order):
+            rest = divided(rest, order)
+    if len(rest) == 1:
+        return np.ones(1, dtype=np.int64)
+    if np.array_equal(rest, rest[::-1]) or np.array_equal(rest, -rest[::-1]):
+        return rest
+    # modulo a prime the divisor's degree can only grow: what is 1 there is 1
+    common = _gcd(rest % _PRIME, rest[::-1] % _PRIME)
+    if len(common) == 1:
+        return np.ones(1, dtype=np.int64)
+    lifted = np.where(common > _PRIME // 2, common - _PRIME, common)
+    symmetric = np.array_equal(lifted, lifted[::-1]) or np.array_equal(lifted, -lifted[::-1])
+    return lifted if symmetric and _divides(lifted, rest) else None
+
+
+def real_form(factor: IntArray, cycles: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Real function of a self-reciprocal factor on the circle, its slope, and a bound of its rounding error.
+
+    Parameters
+    ----------
+    factor : (m,) int
+    cycles : (F,) float
+        Frequencies, cycles per chip.
+    """
+    middle = np.arange(len(factor)) - 0.5 * (len(factor) - 1)
+    # half-turns are exact in floating point, so the phase is reduced before pi comes in
+    turns = np.multiply.outer(cycles, middle)
+    phase = 2 * np.pi * (turns - np.rint(turns))
+    weights = factor.astype(np.float64)
+    slack = 2.0**-53 * float(np.abs(weights).sum()) * (40 * len(factor) + 100)
+    if factor[0] == factor[-1]:
+        return np.cos(phase) @ weights, -2 * np.pi * np.sin(phase) @ (weights * middle), slack
+    return np.sin(phase) @ weights, 2 * np.pi * np.cos(phase) @ (weights * middle), slack
+
+
+def sign_changes(factor: IntArray) -> tuple[tuple[SignChange, ...], bool]:
+    """All changes of sign of a self-reciprocal factor for 0..1/2 cycles per chip, and whether these are all its zeros.
+
+    On every cell the function either keeps away from zero or is monotone, by its value, slope and curvature.
+    """
+    if len(factor) < 2:
+        return (), True
+    middle = np.arange(len(factor)) - 0.5 * (len(factor) - 1)
+    bend = 4 * np.pi**2 * float(np.abs(factor) @ middle**2)
+    centres = (np.arange(4 * len(factor)) + 0.5) / (8 * len(factor))
+    half, found, looked = 1 / (16 * len(factor)), [], 0
+    while centres.size and looked < _CELLS and half > 1e-13:
+        looked += centres.size
+        value, slope, slack = real_form(factor, centres)
+        reach = np.abs(slope) * half + 0.5 * bend * half**2 + slack
+        near = np.abs(value) <= reach
+        monotone = np.abs(slope) > bend * half + slack * 2 * np.pi * len(factor)
+        ends = real_form(factor, np.concatenate([centres - half, centres + half]))[0].reshape(2, -1)
+        crosses = (ends[0] > 0) != (ends[1] > 0)
+        for centre in centres[near & monotone & crosses]:
+            found.append(_bisected(factor, float(centre - half), float(centre + half)))
+        centres = centres[near & ~monotone]
+        half /= 2
+        centres = np.concatenate([centres - half, centres + half])
+    proven = tuple(change for change in found if change is not None)
+    return proven, not centres.size and len(proven) == len(found)
+
+
+def _bisected(factor: IntArray, low: float, high: float) -> SignChange | None:
+    rising = real_form(factor, np.array([high]))[0][0] > 0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if (real_form(factor, np.array([middle]))[0][0] > 0) == rising:
+            high = middle
+        else:
+            low = middle
+    at, radius = 0.5 * (low + high), 1e-14
+    while radius < 1e-3:
+        ends, _, slack = real_form(factor, np.array([at - radius, at + radius]))
+        if abs(ends[0]) > slack and abs(ends[1]) > slack and (ends[0] > 0) != (ends[1] > 0):
+            return SignChange(at, radius)
+        radius *= 2
+    return None
+
+
+def _primes_of(number: int) -> list[int]:
+    found, divisor = [], 2
+    while divisor * divisor <= number:
+        if number % divisor == 0:
+            found.append(divisor)
+            while number % divisor == 0:
+                number //= divisor
+        divisor += 1
+    return [*found, number] if number > 1 else found
+
+
+def _totients(limit: int) -> list[int]:
+    phi = np.arange(limit + 1)
+    for prime in range(2, limit + 1):
+        if phi[prime] == prime:
+            phi[prime::prime] -= phi[prime::prime] // prime
+    return [int(value) for value in phi]
+
+
+def _gcd(a: IntArray, b: IntArray) -> IntArray:
+    """Monic greatest common divisor modulo the prime, lowest degree first."""
+    while b.size:
+        b = b * pow(int(b[-1]), -1, _PRIME) % _PRIME
+        rest = a.copy()
+        while rest.size >= b.size:
+            offset = rest.size - b.size
+            rest[offset:] = (rest[offset:] - rest[-1] * b) % _PRIME
+            kept = np.flatnonzero(rest)
+            rest = rest[: kept[-1] + 1] if kept.size else rest[:0]
+        a, b = b, rest
+    return np.asarray(a * pow(int(a[-1]), -1, _PRIME) % _PRIME, dtype=np.int64)
+
+
+def _divides(factor: IntArray, whole: IntArray) -> bool:
+    """Whether a monic factor divides, by long division in Python's unbounded integers."""
+    rest, parts = [int(v) for v in whole], [int(v) for v in factor]
+    while len(rest) >= len(parts):
+        lead = rest.pop()
+        offset = len(rest) + 1 - len(parts)
+        for place, part in enumerate(parts[:-1]):
+            rest[offset + place] -= lead * part
+    return not any(rest)

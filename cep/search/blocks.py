@@ -1,0 +1,229 @@
+"""How codes are cut into blocks for :mod:`cep.search.exhaust`, and the tables that it reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from copy import copy
+from itertools import groupby, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.search.exhaust import BYTES, INNER, SHIFT, Limits, Part, all_patterns, dot, fill_cells, scan, sums_by_byte
+
+__all__ = ["MARGIN", "Scanner", "Tables"]
+
+ComplexArray = NDArray[np.complex128]
+Patterns = NDArray[np.int8]
+MARGIN = 1e-8  # relative: equal minima stay in spite of rounding
+_CELL = 0.15  # side of a cell over the limit; the decisions' table has others
+_MOST_CELLS = 126  # along one axis
+_FREQUENCIES = 24  # of the bit tables, a multiple of eight
+_FEWEST_CHIPS = 20  # below, bit tables cost more than they save
+_NEAR = 8
+_SAMPLE = 2**12
+_CANDIDATES = 768  # frequencies that the scan looks at; the caller looks at the others
+
+
+class Tables:
+    """What depends on the limit alone: which frequencies are tried, in which order, and what they leave.
+
+    Parameters
+    ----------
+    basis : (n, Q) complex
+        Contribution of each chip at each frequency.
+    limits : Limits
+    limit : float
+        |H| of interest: a code is discarded when it is below at any frequency.
+    """
+
+    def __init__(self, basis: ComplexArray, limits: Limits, limit: float) -> None:
+        self.limits, self.inner_at = limits, _cut(len(basis))[0] + _cut(len(basis))[1]
+        order = _order(basis, limits, limit)
+        count = min(_FREQUENCIES, order.size // 8 * 8) if len(basis) >= _FEWEST_CHIPS else 0
+        self.used = basis[:, order[:count]]
+        # the bit tables' frequencies come last: they have judged already, if a little coarsely
+        self.dense = sums_by_byte(basis[:, np.r_[order[count:], order[:count]]])
+        # six sums, each rounded to float32, then added up: at most eleven roundings in each of two parts
+        self._error = np.sqrt(2) * 11 * 2.0**-24 * float(np.abs(basis).max(axis=1).sum())
+        self._total = float(np.abs(basis).sum(axis=0).max())
+        self._fill(limit)
+
+    def tightened(self, limit: float) -> Tables:
+        """Tables of a higher limit, with the same frequencies."""
+        tables = copy(self)
+        tables._fill(limit)
+        return tables
+
+    def _fill(self, limit: float) -> None:
+        self.limit = limit
+        floor = max(limit * (1 - MARGIN) - self._error, 0.0)
+        self.limit2 = np.float32(floor**2 * (1 - 2.0**-20))
+        sums = dot(all_patterns(INNER), self.used[self.inner_at : self.inner_at + INNER]).T
+        middle = sums.mean(axis=1)
+        reach = limit + float(np.abs(sums - middle[:, None]).max(initial=0.0))
+        self.step = max(_CELL * limit, 2 * reach / (_MOST_CELLS - 2), self._total / 4000)
+        self.grid = 2 * int(np.ceil(reach / self.step)) + 2
+        self.corner = -middle - self.step * self.grid / 2 * (1 + 1j)
+        self.unit = self.step / 2**SHIFT
+        self.first_cell = (np.arange(len(sums)) * self.grid**2).astype(np.int32)
+        self.cells = fill_cells(
+            np.ascontiguousarray(np.stack([sums.real, sums.imag], axis=1)),
+            np.stack([self.corner.real, self.corner.imag], axis=1),
+            self.step,
+            # three parts are rounded to a unit; the rest is float64
+            2 * self.unit + 1e-12 * self._total,
+            limit * (1 - MARGIN),
+            self.grid,
+        )
+
+
+class Scanner:
+    """The codes of one length, as heads, near chips, inner chips and tails.
+
+    Parameters
+    ----------
+    tables : Tables
+    length : int
+        At least 12.
+    ends_open : bool
+        Codes with both end chips open, one of each mirror pair; otherwise all codes.
+    fixed : str, optional
+        "1" forced open, "0" forced closed, "?" free, for every chip.
+    """
+
+    def __init__(self, tables: Tables, length: int, *, ends_open: bool, fixed: str | None = None) -> None:
+        self.tables = tables
+        limits = tables.limits
+        head, near, tail = _cut(length)
+        start = tables.inner_at - head - near
+        places = np.cumsum([start, head, near, INNER, tail])
+        front, back = all_patterns(head), all_patterns(tail)
+        if ends_open:
+            front, back = front[front[:, 0] == 1], back[back[:, -1] == 1]
+        # as seen from the ends of the code, over as many chips as both have
+        seen_front = front[:, :tail] @ (1 << np.arange(tail)[::-1])
+        seen_back = back[:, ::-1] @ (1 << np.arange(tail)[::-1])
+        ways = [front, all_patterns(near), all_patterns(INNER), back]
+        sides = [(True, False), (False, False), (False, False), (False, True)]
+        keep = [
+            _possible(way, limits, side) & _allowed(way, int(place), fixed)
+            for way, side, place in zip(ways, sides, places[:4], strict=True)
+        ]
+        order = np.argsort(seen_back, kind="stable")
+        order = order[keep[3][order]]
+        front, seen_front, back, seen_back = front[keep[0]], seen_front[keep[0]], back[order], seen_back[order]
+        middle = ways[1][keep[1]]
+        middle = middle[np.argsort(middle.sum(axis=1), kind="stable")]
+        self.near_at = np.searchsorted(middle.sum(axis=1), np.arange(near + 2)).astype(np.int64)
+        self.head = self._part(front, int(places[0]), tables.corner)
+        self.near = self._part(middle, int(places[1]))
+        self.tail = self._part(back, int(places[3]))
+        # of a pair of mirror images, the one whose tail does not come after its head; ties go both ways
+        self.tails = np.full(len(front), len(back), dtype=np.int64)
+        if ends_open:
+            self.tails[:] = np.searchsorted(seen_back, seen_front, side="right")
+        inner = ways[2]
+        self.inner_bits = _bits(inner, tables.inner_at)
+        outside = np.arange(8 * BYTES + 1)[:, None] + inner.sum(axis=1)
+        left = keep[2] & (outside >= limits.fewest) & (outside <= limits.most)
+        self.inner_left = np.packbits(left, axis=1, bitorder="little").view(np.uint64)
+        self.inner_count = left.sum(axis=1).astype(np.int64)
+
+    def spans(self, codes: int) -> Iterator[tuple[int, int]]:
+        """Ranges of heads of about so many codes."""
+        each = codes >> (INNER + self.near_at.size - 2)
+        chunk = np.cumsum(self.tails) // max(each, 1)
+        edges = [0, *(np.flatnonzero(np.diff(chunk)) + 1).tolist(), chunk.size]
+        yield from pairwise(edges)
+
+    def buffer(self) -> NDArray[np.uint64]:
+        """Room for what a call of :meth:`run` finds."""
+        return np.zeros(2 * self.near.bits.size * self.inner_bits.size, dtype=np.uint64)
+
+    def run(
+        self,
+        span: NDArray[np.int64],
+        found: NDArray[np.uint64],
+        counts: NDArray[np.int64],
+        halt: NDArray[np.bool_],
+    ) -> NDArray[np.uint64]:
+        """Scan from ``span[0]``, ``span[2]`` on, as :func:`cep.search.exhaust.scan`; returns the codes found."""
+        tables = self.tables
+        number = scan(
+            self.head, self.tail, self.near, self.tails, self.near_at, tables.first_cell, tables.cells, tables.grid,
+            self.inner_bits, self.inner_left, self.inner_count, tables.limits, tables.dense, tables.limit2,
+            span, found, counts, halt,
+        )  # fmt: skip
+        return found[:number].copy()
+
+    def _part(self, patterns: Patterns, start: int, corner: ComplexArray | None = None) -> Part:
+        tables = self.tables
+        sums = dot(patterns, tables.used[start : start + patterns.shape[1]]) - (0 if corner is None else corner)
+        fixed = np.rint(np.concatenate([sums.real, sums.imag], axis=1) / tables.unit).astype(np.int32)
+        rises = np.diff(patterns, axis=1, prepend=0) == 1
+        return Part(
+            _bits(patterns, start), fixed, patterns.sum(axis=1, dtype=np.int64), rises.sum(axis=1, dtype=np.int64)
+        )
+
+
+def _cut(chips: int) -> tuple[int, int, int]:
+    """Chips of head, near part and tail; the inner block is between the last two."""
+    near = min(_NEAR, chips - INNER - 2)
+    return (chips - INNER - near + 1) // 2, near, (chips - INNER - near) // 2
+
+
+def _order(basis: ComplexArray, limits: Limits, limit: float) -> NDArray[np.intp]:
+    """Order frequencies so that each discards most of what those before it leave, in a sample of random codes.
+
+    Of very many frequencies only some are taken.
+    """
+    rng, (chips, size) = np.random.default_rng(0), basis.shape
+    candidates = rng.permutation(size)[:_CANDIDATES]
+    rank = rng.random((_SAMPLE, chips)).argsort(axis=1).argsort(axis=1)
+    centre = np.clip(rng.binomial(chips, 0.5, size=(_SAMPLE, 1)), limits.fewest, limits.most)
+    sampled = np.abs((rank < centre).astype(np.complex64) @ basis[:, candidates].astype(np.complex64))
+    # a cell takes a part of the limit away
+    below = np.ascontiguousarray((sampled < limit * (1 - 0.6 * _CELL)).T)
+    left, free, picked = np.ones(_SAMPLE, dtype=np.bool_), np.ones(candidates.size, dtype=np.bool_), []
+    for _ in range(min(3 * _FREQUENCIES, candidates.size)):
+        discards = np.where(free, below[:, left].sum(axis=1), -1)
+        if discards.max() == 0:
+            left[:] = True
+            discards = np.where(free, below.sum(axis=1), -1)
+        pick = int(discards.argmax())
+        picked.append(pick)
+        free[pick] = False
+        left &= ~below[pick]
+    rest = np.flatnonzero(free)
+    rest = rest[np.argsort(-below[rest].sum(axis=1), kind="stable")]
+    return np.asarray(candidates[[*picked, *rest.tolist()]], dtype=np.intp)
+
+
+def _bits(patterns: Patterns, start: int) -> NDArray[np.uint64]:
+    places = np.uint64(1) << (start + np.arange(patterns.shape[1])).astype(np.uint64)
+    return np.asarray((patterns.astype(np.uint64) * places).sum(axis=1), dtype=np.uint64)
+
+
+def _allowed(patterns: Patterns, start: int, fixed: str | None) -> NDArray[np.bool_]:
+    """Which patterns of the chips from ``start`` on agree with the forced chips."""
+    marks = np.array(list((fixed or "")[start : start + patterns.shape[1]]))
+    if marks.size == 0:
+        return np.ones(len(patterns), dtype=np.bool_)
+    return np.asarray(((marks == "?") | (patterns == (marks == "1"))).all(axis=1), dtype=np.bool_)
+
+
+def _possible(patterns: Patterns, limits: Limits, ends: tuple[bool, bool]) -> NDArray[np.bool_]:
+    """Which patterns may be part of a code that keeps the run limits; ``ends`` tells where the code itself ends."""
+    if limits.min_open == 1 and limits.min_closed == 1:
+        return np.ones(len(patterns), dtype=np.bool_)
+    return np.array([_runs_fit(row.tolist(), limits, ends) for row in patterns], dtype=np.bool_)
+
+
+def _runs_fit(row: list[int], limits: Limits, ends: tuple[bool, bool]) -> bool:
+    runs = [(bit, len(list(group))) for bit, group in groupby(row)]
+    for index, (bit, length) in enumerate(runs):
+        inside = (index > 0 or (bit and ends[0])) and (index < len(runs) - 1 or (bit and ends[1]))
+        if inside and length < (limits.min_open if bit else limits.min_closed):
+            return False
+    return True

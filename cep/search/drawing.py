@@ -1,0 +1,236 @@
+"""Random codes within limits, every one of them equally likely; and how many there are.
+
+Without forced chips the codes of k open chips in p pulses are pairs of compositions (k into p runs, the rest into p + 1
+gaps), a closed form. Forced chips need dynamic programming over the walks of :mod:`cep.search.limits`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.search.limits import Limits
+
+__all__ = ["draw", "log_count"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+_MOST_NUMBERS = 2**23  # of a table: 64 MB
+_TILT_BATCH = 256
+_TILT_ACCEPTED = 0.25  # of the walks drawn with a weight on their pulses must keep the limit on them
+
+
+def draw(limits: Limits, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
+    """Draw ``count`` codes within feasible limits, (count, n) of 0 and 1.
+
+    All codes are equally likely, with one exception: if chips are forced, and the table over open chips and pulses
+    would exceed 2^23 numbers (as for 512 chips and 16 pulses), codes of few pulses are somewhat likelier than others.
+    """
+    if limits.fixed is None:
+        return _draw_free(limits, count, rng)
+    if _size(limits, counting_pulses=True) <= _MOST_NUMBERS:
+        return _walks(limits, True, 0.0).draw(count, rng)
+    return _draw_tilted(limits, count, rng)
+
+
+def log_count(limits: Limits) -> float:
+    """Natural logarithm of the number of codes within the limits.
+
+    Raises
+    ------
+    ValueError
+        If chips are forced and the table would be too large.
+
+    Examples
+    --------
+    >>> round(np.exp(log_count(Limits(6, (2, 2), min_closed=2))))  # 1001 010010 ...: neighbours, or two apart
+    11
+    """
+    if limits.fixed is None:
+        return float(np.logaddexp.reduce(_free_table(limits), axis=None))
+    if _size(limits, counting_pulses=True) > _MOST_NUMBERS:
+        raise ValueError(f"limits: codes of {limits.chips} chips with forced ones are too many to count")
+    return float(np.logaddexp.reduce(_walks(limits, True, 0.0).by_count))
+
+
+# -- no chip is forced: compositions --------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=4)
+def _free_table(limits: Limits) -> FloatArray:
+    """Logarithm of the number of codes with k open chips (row k) in p pulses (column p), (n + 1, p + 1)."""
+    n, low, high = limits.chips, max(limits.open_range[0], 1), min(limits.open_range[1], limits.chips)
+    most = limits.most_pulses or (n + limits.min_closed) // (limits.min_open + limits.min_closed)
+    k, p = np.arange(n + 1)[:, None], np.arange(most + 1)[None]
+    spare_open, spare_closed = k - p * limits.min_open, n - k - (p - 1) * limits.min_closed
+    possible = (k >= low) & (k <= high) & (p >= 1) & (spare_open >= 0) & (spare_closed >= 0)
+    log_factorial = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, 2 * n + 2)))])
+
+    def ways(total: IntArray, parts: IntArray) -> FloatArray:
+        total, parts = np.where(possible, total, 0), np.where(possible, parts, 1)
+        chosen = log_factorial[total + parts - 1] - log_factorial[total] - log_factorial[parts - 1]
+        return np.asarray(chosen, dtype=np.float64)
+
+    table = np.where(possible, ways(spare_open, p + 0 * k) + ways(spare_closed, p + 1 + 0 * k), -np.inf)
+    table.setflags(write=False)
+    return table
+
+
+def _draw_free(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
+    table = _free_table(limits)
+    k, pulses = np.divmod(_pick(table.ravel(), count, rng), table.shape[1])
+    most = int(pulses.max(initial=1))
+    index = np.arange(most)
+    lengths = _compositions(k - pulses * limits.min_open, pulses, most, rng)
+    lengths += limits.min_open * (index < pulses[:, None])
+    gaps = _compositions(limits.chips - k - (pulses - 1) * limits.min_closed, pulses + 1, most + 1, rng)[:, :-1]
+    gaps[:, 1:] += limits.min_closed * (index[1:] < pulses[:, None])
+    ends = np.cumsum(gaps + lengths, axis=1)
+    return _filled(limits.chips, ends - lengths, ends, index < pulses[:, None])
+
+
+def _compositions(total: IntArray, parts: IntArray, most: int, rng: np.random.Generator) -> IntArray:
+    """Split each of (R,) totals into (R,) parts, all splits equally likely: (R, most), zero after the last part."""
+    slots = total + parts - 1
+    width = int(slots.max(initial=0))
+    keys = np.where(np.arange(width) < slots[:, None], rng.random((len(total), width)), 2.0)
+    # the parts - 1 smallest keys say where the bars stand among the stars
+    bars = np.argsort(keys, axis=1)[:, : most - 1]
+    bars = np.pad(bars, ((0, 0), (0, most - 1 - bars.shape[1])))
+    bars = np.sort(np.where(np.arange(most - 1) < parts[:, None] - 1, bars, slots[:, None]), axis=1)
+    before = np.full((len(total), 1), -1)
+    parts_with_bars = np.diff(np.concatenate([before, bars, slots[:, None]], axis=1))
+    return np.asarray(np.maximum(parts_with_bars - 1, 0), dtype=np.intp)
+
+
+def _filled(chips: int, starts: IntArray, ends: IntArray, used: NDArray[np.bool_]) -> NDArray[np.int8]:
+    steps = np.zeros((len(starts), chips + 1), dtype=np.int8)
+    rows = np.nonzero(used)[0]
+    steps[rows, starts[used]] += 1
+    steps[rows, ends[used]] -= 1
+    return np.cumsum(steps, axis=1, dtype=np.int8)[:, :-1]
+
+
+# -- chips are forced: walks ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Walks:
+    """Logarithms of the number of ways to go on, per state, position, open chips to come, and pulses that may come.
+
+    State 0 is closed and 1 open. Where the open chips or the pulses are free, their axis has length 1 and nothing moves
+    along it.
+    """
+
+    limits: Limits
+    ways: FloatArray  # (2, n + 1, K, P)
+    may_stay: NDArray[np.bool_]  # (2, n + 1): whether the next chip may be as the state is
+    may_turn: NDArray[np.bool_]  # (2, n + 1): whether the shortest run of the other state may begin
+    opens: int  # steps along the axis of open chips that one of them takes: 1, or 0 when they are free
+    pulses: int
+    tilt: float  # added per pulse
+
+    @property
+    def by_count(self) -> FloatArray:
+        """Logarithms of the number of codes for each number of open chips in their range, or for all together."""
+        low, high = self.limits.open_range if self.opens else (0, 0)
+        return self.ways[0, 0, low : high + 1, -1]
+
+    def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
+        limits, n = self.limits, self.limits.chips
+        turning, rest = np.array([limits.min_open, limits.min_closed]), limits.rest()
+        left = _pick(self.by_count, count, rng) + (limits.open_range[0] if self.opens else 0)
+        budget, place = np.full(count, self.ways.shape[3] - 1), np.zeros(count, dtype=np.intp)
+        state, steps = np.zeros(count, dtype=np.intp), np.zeros((count, n + 1), dtype=np.int8)
+        rows = np.arange(count)
+        while rows.size:
+            here, k, p, now = place[rows], left[rows], budget[rows], state[rows]
+            after = np.stack([here + 1, here + turning[now]])
+            k_after = k - self.opens * np.stack([now, limits.min_open * (1 - now)])
+            p_after = p - self.pulses * np.stack([0 * now, 1 - now])
+            possible = np.stack([self.may_stay[now, here], self.may_turn[now, here]]) & (k_after >= 0) & (p_after >= 0)
+            found = self.ways[np.stack([now, 1 - now]), np.minimum(after, n), k_after.clip(0), p_after.clip(0)]
+            found[1] += self.tilt * (1 - now)
+            # a walk that is open may also end, if the rest may be closed and no open chip is still to come
+            end = np.where((now == 1) & rest[here] & (k == 0), 0.0, -np.inf)
+            weights = np.concatenate([np.where(possible, found, -np.inf), end[None]])
+            share = np.exp(weights - weights.max(axis=0))
+            total = share.sum(axis=0)
+            drawn = np.minimum(rng.random(rows.size) * total, np.nextafter(total, 0))
+            choice = (drawn >= share[0]).astype(np.intp) + (drawn >= share[0] + share[1])
+            moves, each = np.minimum(choice, 1), np.arange(rows.size)
+            steps[rows, here] += np.where(choice > 0, 1 - 2 * now, 0).astype(np.int8)
+            place[rows], left[rows], budget[rows] = after[moves, each], k_after[moves, each], p_after[moves, each]
+            state[rows] = now ^ moves
+            rows = rows[choice < 2]
+        return np.cumsum(steps, axis=1, dtype=np.int8)[:, :-1]
+
+
+@lru_cache(maxsize=2)
+def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
+    n, runs, gap = limits.chips, limits.min_open, limits.min_closed
+    most = limits.most_pulses if counting_pulses else None
+    opens, pulses = int(limits.counts_opens), int(most is not None)
+    ways = np.full((2, n + 1, limits.open_range[1] * opens + 1, (most or 0) + 1), -np.inf)
+    closed, opened = ways
+    may_stay, may_turn = np.zeros((2, n + 1), dtype=np.bool_), np.stack([limits.room(1, runs), limits.room(0, gap)])
+    may_stay[:, :n] = limits.may_be(0), limits.may_be(1)
+    opened[limits.rest(), 0] = 0.0
+    for i in reversed(range(n + 1)):
+        if may_stay[1, i]:
+            _add(opened[i], opened[i + 1], opens, 0)
+        if may_turn[1, i]:
+            _add(opened[i], closed[i + gap], 0, 0)
+        if may_stay[0, i]:
+            _add(closed[i], closed[i + 1], 0, 0)
+        if may_turn[0, i]:
+            _add(closed[i], opened[i + runs] + tilt, runs * opens, pulses)
+    return _Walks(limits, ways, may_stay, may_turn, opens, pulses, tilt)
+
+
+def _add(total: FloatArray, ways: FloatArray, opens: int, pulses: int) -> None:
+    """Add ways that are ``opens`` open chips and ``pulses`` pulses short of ``total``, in logarithms, in place."""
+    rows, columns = max(len(total) - opens, 0), total.shape[1] - pulses
+    target = total[opens:, pulses:]
+    np.logaddexp(target, ways[:rows, :columns], out=target)
+
+
+def _size(limits: Limits, *, counting_pulses: bool) -> int:
+    opens = limits.open_range[1] + 1 if limits.counts_opens else 1
+    pulses = (limits.most_pulses or 0) + 1 if counting_pulses else 1
+    return 2 * (limits.chips + 1) * opens * pulses
+
+
+def _draw_tilted(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
+    """Draw with a weight per pulse, leave out codes of too many: small weights concentrate on the fewest pulses."""
+    walks = _walks(limits, False, _tilt(limits))
+    kept = np.empty((0, limits.chips), dtype=np.int8)
+    while len(kept) < count:
+        codes = walks.draw(2 * count, rng)
+        kept = np.concatenate([kept, codes[_few_pulses(limits, codes)]])
+    return kept[:count]
+
+
+@lru_cache(maxsize=16)
+def _tilt(limits: Limits) -> float:
+    """Weight per pulse, in logarithms, with which a good share of the walks keeps the limit on pulses."""
+    tilt, rng = 0.0, np.random.default_rng(0)
+    while _few_pulses(limits, _walks(limits, False, tilt).draw(_TILT_BATCH, rng)).mean() < _TILT_ACCEPTED:
+        tilt = 2 * tilt - 0.25
+    return tilt
+
+
+def _few_pulses(limits: Limits, codes: NDArray[np.int8]) -> NDArray[np.bool_]:
+    pulses = (np.diff(codes, axis=1, prepend=0) > 0).sum(axis=1)
+    return np.asarray(pulses <= (limits.max_pulses or limits.chips), dtype=np.bool_)
+
+
+def _pick(log_weights: FloatArray, count: int, rng: np.random.Generator) -> IntArray:
+    """Draw ``count`` indices with these relative weights."""
+    share = np.cumsum(np.exp(log_weights - log_weights.max()))
+    # an index without weight is never picked: ties go to the right, and the last with weight is the first at the total
+    picked = np.searchsorted(share, rng.random(count) * share[-1], side="right")
+    return np.asarray(np.minimum(picked, np.searchsorted(share, share[-1])), dtype=np.intp)

@@ -1,0 +1,300 @@
+"""Proven optimum: every code is judged, or left out at a frequency where its |H| is below the best code's minimum.
+
+On the unit circle a shift in time and the reversal change nothing, so the codes of n chips are those of every length
+up to n with both end chips open, one of each mirror pair. :mod:`cep.search.exhaust` discards nearly all of them,
+billions a second; the few that it leaves are judged here in float64, and the winner is certified over the continuum.
+
+References
+----------
+arXiv 1910.13994 enumerates Newman polynomials (0/1 coefficients) up to degree 40 for a smallest modulus above 2 on the
+unit circle: the first has degree 38. There the degree counts; for a shutter the light does as well.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import replace
+from importlib.metadata import version
+from os import cpu_count
+from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.band import band_samples, circle_samples
+from cep.code import ShutterCode
+from cep.exposure import chip_basis
+from cep.minimum import Minimum, chip_minimum, min_chip, mtf_minimum
+from cep.search.blocks import MARGIN, Scanner, Tables
+from cep.search.climb import climbed
+from cep.search.exhaust import BYTES, INNER, Limits, dot
+from cep.search.problem import SearchProblem
+from cep.search.proof import ExactResult, LengthLog, ProofLog
+from motdiff.trajectory import Trajectory
+
+__all__ = ["ExactResult", "LengthLog", "ProofLog", "codes_to_count", "exact"]
+
+Progress = Callable[[float, ShutterCode], None]
+Codes = NDArray[np.uint64]
+_SLICE = 2**30  # codes between looks at Ctrl-C: a tenth of a second
+_SLICES = 128  # at least, of a long proof, so that a better code helps it
+_TIE = 1e-9  # minima as close as this are equal: the brighter code wins, then the shorter, then the first bits
+_GROWTH = 1.01  # of the limit, at which the scan's tables are made again
+_RESTARTS = 16
+_CLIMBED = 20  # chips below which no climb is needed
+_OVERSAMPLING = 8  # frequencies per 1 / chips on the unit circle
+_BATCH = 2**13
+_DARK = 1e-9  # |H| at which no code passes anything
+
+
+def codes_to_count(problem: SearchProblem) -> int:
+    """Say how many codes a proof goes through, mirror images once; a core does billions a second."""
+    free = not problem.scenarios and problem.fixed is None
+    return int(2 ** max(problem.chips - 2, 0)) if free else int(2**problem.chips)
+
+
+def exact(
+    problem: SearchProblem,
+    *,
+    progress: Progress | None = None,
+    threads: int | None = None,
+    resume: ProofLog | None = None,
+) -> ExactResult:
+    """Find the code with the largest minimum of |H|, and prove it.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        Objective "min-mtf". Without scenarios the minimum is over the whole unit circle; with them it is the smallest
+        at their band samples, in every direction that counts.
+    progress : callable, optional
+        Called now and then with the fraction done, 0..1, and the best code so far. It may raise KeyboardInterrupt.
+    threads : int, optional
+        All cores when omitted. The result does not depend on it.
+    resume : ProofLog, optional
+        Of an interrupted proof of the same problem.
+
+    Returns
+    -------
+    ExactResult
+        Of equal minima the brightest code is taken, then the shortest. Ctrl-C returns the best so far.
+
+    Raises
+    ------
+    ValueError
+        For another objective, too many chips, a motion that no code can serve, or another problem's log.
+    """
+    began = time.monotonic()
+    if [name for name, _ in problem.objective_mix] != ["min-mtf"] or problem.rule != "worst":
+        raise ValueError('objective: only the largest "min-mtf" in the worst scenario can be proven')
+    if problem.chips > 8 * BYTES:
+        raise ValueError(f"chips: at most {8 * BYTES} can be counted out, got {problem.chips}")
+    if problem.response is not None and not problem.response.instant:
+        raise ValueError("response: a proof needs a shutter that opens at once, leave the response out")
+    proof = _Proof(problem, resume)
+    try:
+        proof.climb()
+        proof.count(progress, threads or cpu_count() or 1)
+    except KeyboardInterrupt:
+        # the log says what is missing
+        pass
+    code, minimum, log = proof.outcome()
+    return ExactResult(code, minimum, log, time.monotonic() - began, log.complete)
+
+
+class _Proof:
+    """State of a proof: the best code, the limit that it sets, and what is done."""
+
+    def __init__(self, problem: SearchProblem, resume: ProofLog | None) -> None:
+        self.problem = problem
+        self.circle = not problem.scenarios
+        # shifts and mirror images are as good as the code
+        self.free = self.circle and problem.fixed is None
+        self.basis = _basis(problem)
+        if np.abs(self.basis).sum(axis=0).min() < _DARK:
+            raise ValueError("scenarios: at some frequency no code passes anything, every minimum is 0")
+        low, high = problem.open_limits
+        self.limits = Limits(low, high, problem.min_open, problem.min_closed, problem.max_pulses or 64)
+        self.best, self.value, self.limit, self.ceiling = "", -1.0, 0.0, 0.0
+        self.tables: Tables | None = None
+        self.lock = Lock()
+        n = problem.chips
+        sizes = {m: 2 ** max(m - 2, 0) for m in range(1, n + 1)} if self.free else {n: 2**n - 1}
+        self.logs = {length: LengthLog(length, codes) for length, codes in sizes.items()}
+        if resume is not None:
+            if (resume.chips, resume.limits, resume.domain) != (n, self._limits(), self._domain()):
+                raise ValueError(f"resume: the log is of another problem, of {resume.chips} chips on {resume.domain}")
+            self.logs = {entry.length: entry for entry in resume.lengths}
+            self.ceiling = resume.ceiling
+            self.offer(_packed(resume.bits))
+
+    def offer(self, codes: Codes) -> None:
+        """Judge codes in float64; the best one sets the limit."""
+        for at in range(0, codes.size, _BATCH):
+            part = codes[at : at + _BATCH, None] >> np.arange(self.problem.chips, dtype=np.uint64)
+            bits = (part & np.uint64(1)).astype(np.int8)
+            bits = bits[self.problem.satisfied(bits)]
+            sampled = np.abs(dot(bits, self.basis)).min(axis=1)
+            for index in np.argsort(-sampled, kind="stable"):
+                if sampled[index] < self.limit * (1 - MARGIN):
+                    break
+                self._consider(bits[index], float(sampled[index]))
+
+    def _consider(self, bits: NDArray[np.int8], sampled: float) -> None:
+        name = _canonical(bits) if self.free else _name(bits)
+        value = min(sampled, min_chip(ShutterCode(name))) if self.circle else sampled
+        self.ceiling = max(self.ceiling, value)
+        tie = _TIE * max(value, 1e-3)
+        if value > self.value + tie or (value > self.value - tie and _rank(name) > _rank(self.best)):
+            if value > self.value + tie:
+                self.limit = max(self.limit, chip_minimum(ShutterCode(name)).lower if self.circle else value)
+            self.best, self.value = name, max(value, self.value)
+
+    def climb(self) -> None:
+        """Climb from random codes, for a good limit from the start; the outcome does not depend on it."""
+        if self.problem.chips < _CLIMBED:
+            return
+        rng = np.random.default_rng(0)
+        some = self.basis[:, rng.permutation(self.basis.shape[1])[:256]]
+        single = np.eye(self.problem.chips, dtype=np.int8)[[0, self.problem.chips // 2]]
+        starts = [*self.problem.random_codes(_RESTARTS, rng=rng), *single[self.problem.satisfied(single)]]
+        for code in starts:
+            self.offer(_packed(_name(climbed(code, some, self.problem.satisfied))))
+
+    def count(self, progress: Progress | None, threads: int) -> None:
+        """Go through all codes, length by length."""
+        total, before = sum(entry.codes for entry in self.logs.values()), 0
+        for length, entry in list(self.logs.items()):
+
+            def report(share: float, before: int = before, codes: int = entry.codes) -> None:
+                if progress is not None and self.best:
+                    progress((before + share * codes) / total, ShutterCode(self.best))
+
+            if not entry.complete and length < INNER + 2:
+                self._list(length)
+            elif not entry.complete:
+                self._scan(length, threads, report)
+            before += entry.codes
+            report(1.0, before - entry.codes)
+
+    def _list(self, length: int) -> None:
+        codes = np.arange(1, 2**length, dtype=np.uint64)
+        if self.free:
+            codes = codes[((codes & np.uint64(1)) == 1) & ((codes >> np.uint64(length - 1)) == 1)]
+        self.offer(codes)
+        self.logs[length] = replace(self.logs[length], judged=codes.size, left_by_samples=codes.size, complete=True)
+
+    def _scan(self, length: int, threads: int, report: Callable[[float], None]) -> None:
+        halt = np.zeros(1, dtype=np.bool_)
+        scanner = self._scanner(length)
+        spans = list(scanner.spans(min(_SLICE, max(2**16, 2**length // _SLICES))))
+        todo = [span for span in spans if span not in self.logs[length].done]
+        running: dict[Future[NDArray[np.int64]], tuple[int, int]] = {}
+        with ThreadPoolExecutor(threads) as pool:
+            try:
+                while todo or running:
+                    while todo and len(running) < threads:
+                        if self.limit > _GROWTH * scanner.tables.limit:
+                            scanner = self._scanner(length)
+                        span = todo.pop(0)
+                        running[pool.submit(self._slice, scanner, span, halt)] = span
+                    for future in wait(running, return_when=FIRST_COMPLETED).done:
+                        counts, span = future.result(), running.pop(future)
+                        self.logs[length] = self.logs[length].grown(span, counts)
+                        report(len(self.logs[length].done) / len(spans))
+            finally:
+                halt[0] = True
+        self.logs[length] = replace(self.logs[length], done=(), complete=True)
+
+    def _scanner(self, length: int) -> Scanner:
+        if self.tables is None:
+            self.tables = Tables(self.basis, self.limits, self.limit)
+        elif self.limit > _GROWTH * self.tables.limit:
+            self.tables = self.tables.tightened(self.limit)
+        return Scanner(self.tables, length, ends_open=self.free, fixed=self.problem.fixed)
+
+    def _slice(self, scanner: Scanner, heads: tuple[int, int], halt: NDArray[np.bool_]) -> NDArray[np.int64]:
+        span, counts = np.array([*heads, 0], dtype=np.int64), np.zeros(4, dtype=np.int64)
+        room = scanner.buffer()
+        while span[0] < span[1] and not halt[0]:
+            found = scanner.run(span, room, counts, halt)
+            with self.lock:
+                self.offer(found)
+        return counts
+
+    def outcome(self) -> tuple[ShutterCode, Minimum, ProofLog]:
+        """Code, certified minimum and log."""
+        if not self.best:
+            raise KeyboardInterrupt
+        code, problem = ShutterCode(self.best), self.problem
+        if self.circle:
+            minimum = chip_minimum(code)
+        else:
+            found = [mtf_minimum(path, code, edges=edges) for path, edges in _paths(problem)]
+            worst = min(found, key=lambda one: one.upper)
+            minimum = replace(worst, lower=min(one.lower for one in found))
+        complete = all(entry.complete for entry in self.logs.values())
+        # mean |P|^2 is the number of open chips; |H| is nowhere above the duty
+        parseval = np.sqrt(problem.open_limits[1]) if self.circle else problem.open_limits[1] / problem.chips
+        log = ProofLog(
+            problem.chips,
+            self._limits(),
+            self._domain(),
+            tuple(self.logs.values()),
+            MARGIN,
+            self.best,
+            minimum.lower if self.circle else self.value,
+            self.ceiling if complete else float(parseval),
+            self.ceiling,
+            {name: version(name) for name in ("numpy", "numba")},
+        )
+        return code, minimum, log
+
+    def _limits(self) -> dict[str, int | str | None]:
+        names = ("min_open", "min_closed", "max_pulses", "fixed")
+        low, high = self.problem.open_limits
+        return {"fewest_open": low, "most_open": high} | {name: getattr(self.problem, name) for name in names}
+
+    def _domain(self) -> str:
+        return "the unit circle" if self.circle else f"{self.basis.shape[1]} band samples"
+
+
+def _paths(problem: SearchProblem) -> list[tuple[Trajectory, NDArray[np.float64] | None]]:
+    """Every path that counts, each way round, with the edges of its chips."""
+    found = []
+    for one in problem.scenarios:
+        for turned in (False, True) if problem.both_directions(one.trajectory) else (False,):
+            found.append((one.path(reversed_path=turned), one.edges))
+    return found
+
+
+def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
+    """Contribution of each chip at all frequencies, (n, Q)."""
+    if not problem.scenarios:
+        samples = circle_samples(problem.chips, oversampling=_OVERSAMPLING)
+        return np.asarray(np.exp(-2j * np.pi * np.arange(problem.chips)[:, None] * samples.fx), dtype=np.complex128)
+    rows = []
+    for path, edges in _paths(problem):
+        samples = band_samples(path)
+        rows.append(chip_basis(path, problem.chips, samples.fx, samples.fy, edges=edges))
+    return np.concatenate(rows, axis=1)
+
+
+def _canonical(bits: NDArray[np.int8]) -> str:
+    """Code of its shifts and mirror images: at the start, the way round that opens more and earlier."""
+    core = _name(bits).strip("0")
+    return max(core, core[::-1]).ljust(bits.size, "0")
+
+
+def _name(bits: NDArray[np.int8]) -> str:
+    return "".join("1" if bit else "0" for bit in bits)
+
+
+def _packed(bits: str) -> Codes:
+    return np.array([int(bits[::-1], 2)], dtype=np.uint64)
+
+
+def _rank(bits: str) -> tuple[int, int, str]:
+    return bits.count("1"), -len(bits.strip("0")), bits

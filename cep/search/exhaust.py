@@ -1,0 +1,297 @@
+"""The scan behind the proven optimum: 1024 codes at a time, by one bit each.
+
+A code is cut into far chips at both ends, near chips, and an inner block of ten. At a frequency the sum of all chips
+outside the block is a point of the plane; the plane is cut into square cells, and for every cell 1024 bits are kept:
+which of the 1024 inner patterns are not surely below the limit, wherever in the cell the point lies. One AND of 1024
+bits judges 1024 codes at one frequency, and a dozen and a half leave nothing of most blocks. What is left is evaluated
+in float32 at all frequencies, its rounding error allowed for; what that leaves is the caller's to judge.
+
+Nothing is discarded without a frequency at which its |H| is below the limit: rounding costs speed, never the proof.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.compiled import compiled
+
+__all__ = ["BYTES", "INNER", "SHIFT", "Limits", "Part", "all_patterns", "dot", "fill_cells", "scan", "sums_by_byte"]
+
+INNER = 10  # chips of a block: its 1024 bits are two vector registers
+BYTES = 6  # of a code: 48 chips at most
+LANES = 16  # frequencies evaluated side by side
+SHIFT = 16  # a cell is 2^16 fixed-point units wide
+
+Bits = NDArray[np.uint64]
+Ints = NDArray[np.int32]
+Counts = NDArray[np.int64]
+
+
+class Part(NamedTuple):
+    """Patterns of some chips of the code, one a row.
+
+    Attributes
+    ----------
+    bits : (R,) uint64
+        Open chips.
+    sums : (R, 2 F) int32
+        Real parts of their sum at each frequency, then the imaginary ones, in fixed-point units.
+    opened, pulses : (R,) int64
+        Number of open chips and of open runs.
+    """
+
+    bits: Bits
+    sums: Ints
+    opened: Counts
+    pulses: Counts
+
+
+class Limits(NamedTuple):
+    """Limits on light and on runs, as in a search problem; ``max_pulses`` is 64 for none."""
+
+    fewest: int
+    most: int
+    min_open: int
+    min_closed: int
+    max_pulses: int
+
+
+def all_patterns(chips: int) -> NDArray[np.int8]:
+    """All patterns of some chips, (2^chips, chips), the first chip changing fastest."""
+    return ((np.arange(2**chips)[:, None] >> np.arange(chips)) & 1).astype(np.int8)
+
+
+def dot(patterns: NDArray[np.int8], basis: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Sum the chips' contributions, (R, Q); numpy multiplies mixed types without its fast routines."""
+    chips, frequencies = basis.shape
+    parts = patterns.astype(np.float64) @ np.ascontiguousarray(basis).view(np.float64).reshape(chips, 2 * frequencies)
+    return parts.view(np.complex128).reshape(len(patterns), frequencies)
+
+
+@compiled
+def fill_cells(
+    inner: NDArray[np.float64], corner: NDArray[np.float64], step: float, slack: float, limit: float, grid: int
+) -> Bits:
+    """Find the inner patterns that each cell leaves, (F * grid * grid * 16,) uint64.
+
+    Parameters
+    ----------
+    inner : (F, 2, 1024) float
+        Sums of the inner patterns.
+    corner : (F, 2) float
+        Lower left corner of each frequency's cells. The outermost cells stand for all beyond them and leave everything.
+    step : float
+        Side of a cell.
+    slack : float
+        How far outside its cell a point may lie, from rounding.
+    limit : float
+        Smallest |H| of interest.
+    """
+    frequencies, patterns = inner.shape[0], inner.shape[2]
+    words = patterns // 64
+    cells = np.full(frequencies * grid * grid * words, ~np.uint64(0), np.uint64)
+    half, limit2 = step / 2 + slack, limit * limit
+    for f in range(frequencies):
+        for y in range(1, grid - 1):
+            middle_y = corner[f, 1] + step * (y + 0.5)
+            for x in range(1, grid - 1):
+                middle_x = corner[f, 0] + step * (x + 0.5)
+                row = (f * grid + y) * grid + x
+                for word in range(words):
+                    left = np.uint64(0)
+                    for bit in range(64):
+                        # the farthest point of the cell decides
+                        away_x = abs(inner[f, 0, word * 64 + bit] + middle_x) + half
+                        away_y = abs(inner[f, 1, word * 64 + bit] + middle_y) + half
+                        left |= np.uint64(away_x * away_x + away_y * away_y >= limit2) << np.uint64(bit)
+                    cells[row * words + word] = left
+    return cells
+
+
+def sums_by_byte(basis: NDArray[np.complex128]) -> NDArray[np.float32]:
+    """Sum every byte of a code at all frequencies, (Q / 16, 6, 256, 32) float32; the last sixteen repeat some.
+
+    Parameters
+    ----------
+    basis : (n, Q) complex
+        Contribution of each chip, frequencies in the order in which they are to be tried.
+    """
+    chips, frequencies = basis.shape
+    order = np.arange(-(-frequencies // LANES) * LANES)
+    padded = np.zeros((8 * BYTES, order.size), np.complex128)
+    padded[:chips] = basis[:, np.where(order < frequencies, order, order - frequencies) % frequencies]
+    sums = np.stack([dot(all_patterns(8), padded[8 * byte : 8 * byte + 8]) for byte in range(BYTES)])
+    blocks = sums.reshape(BYTES, 256, -1, LANES).transpose(2, 0, 1, 3)
+    return np.ascontiguousarray(np.concatenate([blocks.real, blocks.imag], axis=-1), dtype=np.float32)
+
+
+@compiled
+def _keeps_runs(code: np.uint64, limits: Limits) -> bool:
+    """Whether every run limit holds; closed chips before the first and after the last pulse do not count."""
+    pulses, run, is_open = 0, limits.min_closed, False
+    while code:
+        bit = (code & np.uint64(1)) != 0
+        if bit != is_open:
+            if run < (limits.min_open if is_open else limits.min_closed) and (is_open or pulses > 0):
+                return False
+            pulses += bit
+            is_open, run = bit, 0
+        run += 1
+        code >>= np.uint64(1)
+    return pulses <= limits.max_pulses and run >= limits.min_open
+
+
+@compiled
+def _reaches(code: np.uint64, dense: NDArray[np.float32], limit2: np.float32) -> bool:
+    """Whether |H|^2 is not below the limit at any frequency."""
+    mask = np.uint64(255)
+    b0, b1, b2 = code & mask, (code >> np.uint64(8)) & mask, (code >> np.uint64(16)) & mask
+    b3, b4, b5 = (code >> np.uint64(24)) & mask, (code >> np.uint64(32)) & mask, (code >> np.uint64(40)) & mask
+    for block in range(dense.shape[0]):
+        below = 0
+        for q in range(LANES):
+            real = (dense[block, 0, b0, q] + dense[block, 1, b1, q] + dense[block, 2, b2, q]) + (
+                dense[block, 3, b3, q] + dense[block, 4, b4, q] + dense[block, 5, b5, q]
+            )
+            r = q + LANES
+            imag = (dense[block, 0, b0, r] + dense[block, 1, b1, r] + dense[block, 2, b2, r]) + (
+                dense[block, 3, b3, r] + dense[block, 4, b4, r] + dense[block, 5, b5, r]
+            )
+            below += real * real + imag * imag < limit2
+        if below:
+            return False
+    return True
+
+
+@compiled
+def scan(
+    head: Part,
+    tail: Part,
+    near: Part,
+    tails: Counts,
+    near_at: Counts,
+    first_cell: Ints,
+    cells: Bits,
+    grid: int,
+    inner_bits: Bits,
+    inner_left: Bits,
+    inner_count: Counts,
+    limits: Limits,
+    dense: NDArray[np.float32],
+    limit2: np.float32,
+    span: Counts,
+    found: Bits,
+    counts: Counts,
+    halt: NDArray[np.bool_],
+) -> int:
+    """Go through all codes of a range of heads; returns how many were written to ``found``.
+
+    Parameters
+    ----------
+    head, tail, near : Part
+        Far chips at the start and the end, and near chips, the latter sorted by their open chips.
+    tails : (R,) int64
+        How many of the first rows of ``tail`` go with each head.
+    near_at : (N,) int64
+        First row of ``near`` with as many open chips, and one entry beyond.
+    first_cell : (F,) int32
+        First row of each frequency in ``cells``; F is a multiple of eight.
+    cells, grid
+        From :func:`fill_cells`.
+    inner_bits : (1024,) uint64
+        Open chips of the inner patterns.
+    inner_left : (49, 16) uint64
+        Inner patterns that keep the limits, by the number of open chips outside the block.
+    inner_count : (49,) int64
+        Their number.
+    limits : Limits
+    dense : float32
+        From :func:`sums_by_byte`.
+    limit2 : float32
+        Smallest |H|^2 of interest there, less rounding errors.
+    span : (3,) int64
+        First head, end of heads, first tail of the first head. Its first and last are moved to where the scan stopped:
+        at the end, where ``found`` may not hold the next block, or at ``halt``.
+    found : (M,) uint64
+        Codes that reach the limit at every frequency.
+    counts : (4,) int64
+        Raised by the number of codes within the limit on light, and of those that the cells left, that kept the run
+        limits, and that were found.
+    halt : (1,) bool
+        Set from another thread to stop.
+    """
+    rows = np.zeros(first_cell.size, np.uint32)
+    far, left = np.zeros(2 * first_cell.size, np.int32), np.zeros(inner_left.shape[1], np.uint64)
+    words, frequencies = left.size, first_cell.size
+    side, top, zero = np.int32(grid), np.int32(grid - 1), np.int32(0)
+    number, room = 0, found.size - near.bits.size * inner_bits.size
+    free_runs = limits.min_open == 1 and limits.min_closed == 1 and limits.max_pulses >= 64
+    near_sums, near_opened, near_bits = near.sums, near.opened, near.bits
+    most_near, start = near_at.size - 2, span[2]
+    for i in range(span[0], span[1]):
+        for j in range(start, tails[i]):
+            if number > room or halt[0]:
+                span[0], span[2] = i, j
+                return number
+            opened = head.opened[i] + tail.opened[j]
+            low, high = max(limits.fewest - opened - INNER, 0), min(limits.most - opened, most_near)
+            # joined in the middle they may still be one pulse
+            if low > high or head.pulses[i] + tail.pulses[j] - 1 > limits.max_pulses:
+                continue
+            far_bits = head.bits[i] | tail.bits[j]
+            for f in range(far.size):
+                far[f] = head.sums[i, f] + tail.sums[j, f]
+            for k in range(near_at[low], near_at[high + 1]):
+                outside = opened + near_opened[k]
+                counts[0] += inner_count[outside]
+                for f in range(frequencies):
+                    x = (far[f] + near_sums[k, f]) >> SHIFT
+                    y = (far[frequencies + f] + near_sums[k, frequencies + f]) >> SHIFT
+                    rows[f] = first_cell[f] + min(max(y, zero), top) * side + min(max(x, zero), top)
+                # plain loops over a length known only at run time: those become vector instructions
+                some = np.uint64(1)
+                for word in range(words):
+                    left[word] = inner_left[outside, word]
+                for at in range(0, rows.size, 8):
+                    a, b, c, d = rows[at] * words, rows[at + 1] * words, rows[at + 2] * words, rows[at + 3] * words
+                    e, f, g, h = rows[at + 4] * words, rows[at + 5] * words, rows[at + 6] * words, rows[at + 7] * words
+                    some = np.uint64(0)
+                    for word in range(words):
+                        rest = left[word] & cells[a + word] & cells[b + word] & cells[c + word] & cells[d + word]
+                        rest &= cells[e + word] & cells[f + word] & cells[g + word] & cells[h + word]
+                        left[word] = rest
+                        some |= rest
+                    if some == 0:
+                        break
+                if some == 0:
+                    continue
+                outer = far_bits | near_bits[k]
+                for word in range(left.size):
+                    rest = left[word]
+                    while rest:
+                        code = outer | inner_bits[64 * word + _ones((rest & (~rest + np.uint64(1))) - np.uint64(1))]
+                        rest &= rest - np.uint64(1)
+                        counts[1] += 1
+                        if not free_runs and not _keeps_runs(code, limits):
+                            continue
+                        counts[2] += 1
+                        if _reaches(code, dense, limit2):
+                            counts[3] += 1
+                            found[number] = code
+                            number += 1
+        start = 0
+    span[0], span[2] = span[1], 0
+    return number
+
+
+@compiled
+def _ones(word: np.uint64) -> int:
+    """Open bits of a word; compiles to one instruction."""
+    count = 0
+    while word:
+        word &= word - np.uint64(1)
+        count += 1
+    return count

@@ -1,0 +1,211 @@
+"""Which codes keep every limit at once: whether there are any, which limits conflict, and which are forced open.
+
+A code is a walk between two states. *Closed* may stay closed or start a pulse, *open* may stay open, close for a gap,
+or close for good; a pulse starts with ``min_open`` chips at once and a gap with ``min_closed``, so no state needs to
+count a run. Every code within the limits is exactly one walk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Limits", "check_feasible", "checked_mask", "conflicting", "feasible", "fixed_mask"]
+
+BoolArray = NDArray[np.bool_]
+_NEVER = 1 << 30  # pulses of a code that does not exist
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a code of ``chips`` chips.
+
+    Parameters
+    ----------
+    chips : int
+    open_range : (int, int)
+        Fewest and most open chips.
+    min_open, min_closed : int
+        Shortest open run, and shortest closed run between two open ones: the shutter rests closed before and after.
+    max_pulses : int, optional
+        Most open runs.
+    fixed : str, optional
+        One character per chip: "1" forced open, "0" forced closed, "?" free.
+    """
+
+    chips: int
+    open_range: tuple[int, int]
+    min_open: int = 1
+    min_closed: int = 1
+    max_pulses: int | None = None
+    fixed: str | None = None
+
+    @property
+    def counts_opens(self) -> bool:
+        """Whether ``open_range`` says anything that the other limits do not."""
+        return self.open_range[0] > self.min_open or self.open_range[1] < self.chips
+
+    @property
+    def most_pulses(self) -> int | None:
+        """Most pulses, or None when so many never fit anyway."""
+        fitting = (self.chips + self.min_closed) // (self.min_open + self.min_closed)
+        return None if self.max_pulses is None or self.max_pulses >= fitting else self.max_pulses
+
+    def may_be(self, bit: int) -> BoolArray:
+        """Which chips (n,) the mask lets be open (1) or closed (0)."""
+        return np.array([mark in ("?", str(bit)) for mark in self.fixed or "?" * self.chips])
+
+    def room(self, bit: int, length: int) -> BoolArray:
+        """Whether a run of ``length`` chips of ``bit`` may start at each chip, (n + 1,)."""
+        refused = np.concatenate([[0], np.cumsum(~self.may_be(bit))])
+        fits = np.zeros(self.chips + 1, dtype=np.bool_)
+        last = self.chips - length
+        if last >= 0:
+            fits[: last + 1] = refused[length:] == refused[: last + 1]
+        return fits
+
+    def rest(self) -> BoolArray:
+        """Whether every chip from each one on may be closed, (n + 1,)."""
+        return np.concatenate([np.logical_and.accumulate(self.may_be(0)[::-1])[::-1], [True]])
+
+
+def fixed_mask(
+    chips: int,
+    *,
+    first_open: bool = False,
+    last_open: bool = False,
+    forced_open: Iterable[int] = (),
+    forced_closed: Iterable[int] = (),
+) -> str:
+    """Make a mask of forced chips: "1" open, "0" closed, "?" free.
+
+    Parameters
+    ----------
+    chips : int
+    first_open, last_open : bool
+        Whether the first and the last chip must be open.
+    forced_open, forced_closed : iterable of int
+        Chips by their index, 0 .. chips - 1.
+
+    Raises
+    ------
+    ValueError
+        If an index is outside the code, or a chip is forced both ways.
+
+    Examples
+    --------
+    >>> fixed_mask(8, first_open=True, forced_closed=[3, 4])
+    '1??00???'
+    """
+    opened, closed = set(forced_open), set(forced_closed)
+    for name, indices in (("forced_open", opened), ("forced_closed", closed)):
+        outside = sorted(index for index in indices if not 0 <= index < chips)
+        if outside:
+            raise ValueError(f"{name}: chips of a code of {chips} are 0..{chips - 1}, got {outside[0]}")
+    opened |= ({0} if first_open else set()) | ({chips - 1} if last_open else set())
+    both = sorted(opened & closed)
+    if both:
+        raise ValueError(f"forced_closed: chip {both[0]} is forced open as well")
+    return "".join("1" if i in opened else "0" if i in closed else "?" for i in range(chips))
+
+
+def checked_mask(fixed: str | None, chips: int) -> str | None:
+    """Return a mask, or None when it leaves every chip free.
+
+    Raises
+    ------
+    ValueError
+        If it has another length or other characters.
+    """
+    if fixed is None:
+        return None
+    if not isinstance(fixed, str) or set(fixed) - set("01?"):
+        raise ValueError(f"fixed: must be a string of 0 (forced closed), 1 (forced open) and ? (free), got {fixed!r}")
+    if len(fixed) != chips:
+        raise ValueError(f"fixed: must have one character for each of {chips} chips, got {len(fixed)}")
+    return None if set(fixed) == {"?"} else fixed
+
+
+@lru_cache(maxsize=64)
+def feasible(limits: Limits) -> bool:
+    """Whether any code keeps the limits, exactly."""
+    low, high = max(limits.open_range[0], 1), min(limits.open_range[1], limits.chips)
+    if low > high or limits.min_open > high:
+        return False
+    if limits.fixed is None:
+        return True  # one pulse of any length from min_open on
+    fewest = _fewest_pulses(limits)[low : high + 1].min()
+    return bool(fewest <= (limits.chips if limits.max_pulses is None else limits.max_pulses))
+
+
+def conflicting(limits: Limits) -> tuple[str, ...]:
+    """Name limits that no code keeps together, though it could if any one of them were dropped; none if feasible."""
+    dropped = {
+        "open_range": replace(limits, open_range=(1, limits.chips)).open_range,
+        "min_open": 1,
+        "min_closed": 1,
+        "max_pulses": None,
+        "fixed": None,
+    }
+    if feasible(limits):
+        return ()
+    kept = []
+    for name, none in dropped.items():
+        if getattr(limits, name) == none:
+            continue
+        without = replace(limits, **{name: none})  # type: ignore[arg-type]
+        if feasible(without):
+            kept.append(name)
+        else:
+            limits = without
+    return tuple(kept)
+
+
+def check_feasible(limits: Limits) -> None:
+    """Refuse limits that no code keeps.
+
+    Raises
+    ------
+    ValueError
+        The line names a smallest set of limits that conflict.
+    """
+    names = conflicting(limits)
+    if not names:
+        return
+    marks = limits.fixed or ""
+    values = {
+        "open_range": "{}..{}".format(*limits.open_range),
+        "fixed": f"({marks.count('1')} forced open, {marks.count('0')} forced closed)",
+    }
+    words = [f"{name} {values.get(name, getattr(limits, name))}" for name in names]
+    code = f"no code of {limits.chips} chips keeps"
+    if len(words) == 1:
+        raise ValueError(f"{words[0]}: {code} it")
+    listed = f"{', '.join(words[:-1])} and {words[-1]}"
+    raise ValueError(f"{listed} conflict: {code} {'both' if len(words) == 2 else f'all {len(words)}'}")
+
+
+def _fewest_pulses(limits: Limits) -> NDArray[np.int64]:
+    """Fewest pulses of a code with each number of open chips, (n + 1,): a shortest walk from the end."""
+    n, runs, gap = limits.chips, limits.min_open, limits.min_closed
+    pulse_fits, gap_fits = limits.room(1, runs), limits.room(0, gap)
+    open_fits, closed_fits, rest = limits.may_be(1), limits.may_be(0), limits.rest()
+    closed = np.full((n + 1, n + 1), _NEVER, dtype=np.int64)  # position, open chips to come
+    opened = closed.copy()
+    opened[n, 0] = 0
+    for i in reversed(range(n)):
+        if closed_fits[i]:
+            closed[i] = closed[i + 1]
+        if pulse_fits[i]:
+            closed[i, runs:] = np.minimum(closed[i, runs:], opened[i + runs, : n + 1 - runs] + 1)
+        if open_fits[i]:
+            opened[i, 1:] = opened[i + 1, :-1]
+        if gap_fits[i]:
+            opened[i] = np.minimum(opened[i], closed[i + gap])
+        if rest[i]:
+            opened[i, 0] = 0
+    return np.asarray(np.minimum(closed[0], _NEVER), dtype=np.int64)

@@ -1,0 +1,126 @@
+"""What an exhaustive proof leaves behind: how many codes were discarded where, and what the best code's minimum is."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.code import ShutterCode
+from cep.minimum import Minimum
+
+__all__ = ["ExactResult", "LengthLog", "ProofLog"]
+
+
+@dataclass(frozen=True)
+class LengthLog:
+    """What was done with the codes of one length (all codes, along a trajectory).
+
+    Attributes
+    ----------
+    length : int
+        Chips between the first and the last open one.
+    codes : int
+        Codes of that length, each way round counted.
+    judged : int
+        Codes within the limit on light that the scan took up: mirror images mostly once, and none that break a run
+        limit in their first, last or middle chips.
+    left_by_tables, kept_runs, left_by_samples : int
+        Of these, how many the bit tables left, kept every run limit, and were not below the limit at any sample.
+        The last are judged one by one.
+    done : tuple of (int, int)
+        Ranges of heads that are finished, where not all are.
+    complete : bool
+    """
+
+    length: int
+    codes: int
+    judged: int = 0
+    left_by_tables: int = 0
+    kept_runs: int = 0
+    left_by_samples: int = 0
+    done: tuple[tuple[int, int], ...] = ()
+    complete: bool = False
+
+    def grown(self, span: tuple[int, int], counts: NDArray[np.int64]) -> LengthLog:
+        """Log after another range of heads."""
+        names = ("judged", "left_by_tables", "kept_runs", "left_by_samples")
+        sums = {name: getattr(self, name) + int(count) for name, count in zip(names, counts, strict=True)}
+        return replace(self, done=(*self.done, span), **sums)
+
+
+@dataclass(frozen=True)
+class ProofLog:
+    """What a proof rests on; enough to repeat it, or to go on with one that was interrupted.
+
+    Attributes
+    ----------
+    chips : int
+    limits : dict
+        Limits on light, runs and single chips.
+    domain : str
+        Frequencies that the minimum is over.
+    lengths : tuple of LengthLog
+    margin : float
+        Relative rounding allowance: codes are discarded below (1 - margin) times the best code's certified minimum.
+    bits : str
+        Best code.
+    lower, upper : float
+        The largest minimum lies between them; ``upper`` is Parseval's bound until the proof is complete.
+    ceiling : float
+        Largest value judged so far.
+    versions : dict
+    """
+
+    chips: int
+    limits: dict[str, int | str | None]
+    domain: str
+    lengths: tuple[LengthLog, ...]
+    margin: float
+    bits: str
+    lower: float
+    upper: float
+    ceiling: float
+    versions: dict[str, str]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every code was accounted for."""
+        return all(entry.complete for entry in self.lengths)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give the log as JSON-ready data."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> ProofLog:
+        """Take back what :meth:`to_dict` gave, also by way of a JSON file."""
+        lengths = (
+            LengthLog(**{**entry, "done": tuple((int(a), int(b)) for a, b in entry["done"])})
+            for entry in data["lengths"]
+        )
+        return cls(**{**data, "lengths": tuple(lengths)})
+
+
+@dataclass(frozen=True)
+class ExactResult:
+    """The best code of all, or the best so far.
+
+    Attributes
+    ----------
+    code : ShutterCode
+    minimum : Minimum
+        Of |P| on the unit circle in chips, or of |H| over the band along the worst of the problem's trajectories.
+    proof : ProofLog
+    seconds : float
+    proven : bool
+        Whether no code is better; False when interrupted.
+    """
+
+    code: ShutterCode
+    minimum: Minimum
+    proof: ProofLog
+    seconds: float
+    proven: bool

@@ -1,0 +1,132 @@
+"""Moves of the annealer, compiled: a flip, a swap, or under run limits a block that is flipped or put elsewhere."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.compiled import compiled, inlined
+
+__all__ = ["Limits", "draw_any", "draw_blocks", "keeps_runs", "uniform"]
+
+Codes = NDArray[np.int8]
+Ints = NDArray[np.int64]
+Random = NDArray[np.uint64]
+_TRIES = 16  # proposals drawn under run limits, to have one that keeps them
+_MOST_CHANGES = 24  # chips that one move may change
+
+
+class Limits(NamedTuple):
+    """What a code keeps, as the compiled loops read it.
+
+    Attributes
+    ----------
+    chips : int
+        Of one frame.
+    low, high : int
+        Fewest and most open chips, over all frames.
+    min_open, min_closed, max_pulses : int
+        Of every frame.
+    constrained : bool
+        Whether any of these three says something.
+    """
+
+    chips: int
+    low: int
+    high: int
+    min_open: int
+    min_closed: int
+    max_pulses: int
+    constrained: bool
+
+
+@inlined
+def uniform(random: Random) -> float:
+    """Draw from [0, 1): xorshift64* (Vigna, "An experimental exploration of Marsaglia's xorshift generators", 2016)."""
+    x = random[0]
+    x ^= x >> np.uint64(12)
+    x ^= x << np.uint64(25)
+    x ^= x >> np.uint64(27)
+    random[0] = x
+    return float((x * np.uint64(0x2545F4914F6CDD1D)) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+
+
+@inlined
+def draw_any(code: Codes, free: Ints, limits: Any, opened: int, random: Random, changed: Ints) -> int:
+    """Draw a flip or a swap into ``changed``; the number of chips, 0 if the draw found none that keeps the light."""
+    if limits.low < limits.high and uniform(random) < 0.5:
+        pick = free[int(uniform(random) * free.size)]
+        if limits.low <= opened + 1 - 2 * code[pick] <= limits.high:
+            changed[0] = pick
+            return 1
+    first = free[int(uniform(random) * free.size)]
+    for _ in range(_TRIES):
+        second = free[int(uniform(random) * free.size)]
+        if code[second] != code[first]:
+            changed[0], changed[1] = first, second
+            return 2
+    return 0
+
+
+@compiled
+def draw_blocks(
+    code: Codes, may_change: NDArray[np.bool_], limits: Any, opened: int, random: Random, trial: Codes, changed: Ints
+) -> int:
+    """Draw a move that keeps run limits: swap two chips, flip a block, or cut a block out and put it elsewhere."""
+    chips = limits.chips
+    longest = min(chips, max(limits.min_open, limits.min_closed) + 1)
+    for _ in range(_TRIES):
+        frame = chips * int(uniform(random) * (code.size // chips))
+        trial[:] = code
+        kind = uniform(random)
+        first, second = frame + int(uniform(random) * chips), frame + int(uniform(random) * chips)
+        length = 1 + int(uniform(random) * longest)
+        if kind < 0.2:
+            trial[first], trial[second] = code[second], code[first]
+        elif kind < 0.5 and limits.low < limits.high:
+            for j in range(first, min(first + length, frame + chips)):
+                trial[j] = 1 - code[first]
+        else:
+            # rolling an interval moves a block from one of its ends to the other
+            begin, size = min(first, second), abs(first - second) + 1
+            shift = (length if first < second else size - length % size) % size
+            for j in range(size):
+                trial[begin + (j + shift) % size] = code[begin + j]
+        count, light = 0, opened
+        for j in range(code.size):
+            if trial[j] != code[j]:
+                if not may_change[j] or count == _MOST_CHANGES:
+                    count = 0
+                    break
+                changed[count] = j
+                count += 1
+                light += trial[j] - code[j]
+        if count > 0 and limits.low <= light <= limits.high and keeps_runs(trial, limits):
+            return count
+    return 0
+
+
+@compiled
+def keeps_runs(code: Codes, limits: Any) -> bool:
+    """Whether every frame keeps the shortest runs and the pulses; before and after its pulses it is closed."""
+    chips = limits.chips
+    for start in range(0, code.size, chips):
+        run, pulses, value = 0, 0, 0
+        for j in range(start, start + chips):
+            if code[j] == value:
+                run += 1
+                continue
+            if value == 1:
+                if run < limits.min_open:
+                    return False
+            else:
+                if pulses > 0 and run < limits.min_closed:
+                    return False
+                pulses += 1
+            value = code[j]
+            run = 1
+        if (value == 1 and run < limits.min_open) or pulses > limits.max_pulses:
+            return False
+    return True

@@ -1,0 +1,220 @@
+"""From a relaxation to proofs: which frequencies it needs, and what its multipliers prove for every amount of light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.band import band_samples, straight_axis
+from cep.exposure import chip_basis
+from cep.search.dual import DualProof, circle_average, largest_form
+from cep.search.elementary import MotionBasis
+from cep.search.relaxation import Relaxation, Solver, relax
+
+__all__ = ["relaxed", "tightened"]
+
+FloatArray = NDArray[np.float64]
+Counts = NDArray[np.intp]
+_START, _ADDED = 200, 150  # frequencies of the relaxed minimum
+_ROUNDS, _SETTLED = 6, 2e-3  # the bound holds after any round; stop where one gains less
+_UNUSED = 1e-4  # weights below this share of the largest make room
+_MOST_FREQUENCIES = 2600  # of a relaxed mean: Newton's matrix takes 54 MB and up to a second a step
+_STRAIGHT_OVERSAMPLING = 8
+_LIGHTS = 6  # numbers of open chips that are relaxed, the weakest first
+
+
+def tightened(
+    parts: Sequence[MotionBasis],
+    counts: Counts,
+    known: FloatArray,
+    quantity: Literal["min", "noise"],
+    *,
+    solvers: Sequence[Solver] | None = None,
+) -> tuple[FloatArray, list[DualProof]]:
+    """Improve known bounds, (K,), one for each number of open chips, where the relaxation does.
+
+    The number of open chips with the weakest bound is relaxed, its multipliers are tried on all others, and so on until
+    the weakest has been relaxed. Where no solver finds an optimum, what is known stays.
+
+    Parameters
+    ----------
+    parts : sequence of MotionBasis
+        For "noise" the first counts, on the samples of its quadrature.
+    counts : (K,) int
+    known : (K,) float
+        Light-true |H|, or dB.
+    quantity : {"min", "noise"}
+    solvers : sequence of callables, optional
+
+    Returns
+    -------
+    bounds : (K,) float
+    proofs : list of DualProof
+        Of those that were improved.
+    """
+    best, proofs, tried = known.copy(), dict[int, DualProof](), set[int]()
+    sign = 1.0 if quantity == "min" else -1.0
+    settled = -np.inf
+    for _ in range(_LIGHTS):
+        index = int((sign * best).argmax())
+        k = int(counts[index])
+        # neighbours of a relaxed number are hardly weaker: relaxing them too gains little
+        if index in tried or not 1 < k < len(parts[0].basis) or sign * best[index] < settled:
+            break
+        tried.add(index)
+        try:
+            proof, matrix, reached = (_minimum if quantity == "min" else _mean)(parts, k, solvers)
+        except ValueError:  # no solver found an optimum
+            break
+        for other, count in enumerate(counts):
+            form = max(largest_form(matrix, proof.multipliers, int(count)), 1e-300)
+            # a hair for the rounding of the power, which the proof is checked with
+            value = (form / reached) ** 0.5 * (1 + 1e-12) if quantity == "min" else 10 * np.log10(reached / form) - 1e-9
+            if sign * value < sign * best[other]:
+                best[other] = value
+                proofs[other] = replace(proof, open_chips=int(count), bound=float(value))
+        settled = max(settled, sign * best[index] + (0.01 * best[index] if quantity == "min" else 0.05))
+    return best, [proofs[other] for other in sorted(proofs)]
+
+
+def relaxed(
+    parts: Sequence[MotionBasis], open_chips: int, *, solvers: Sequence[Solver] | None = None
+) -> tuple[Relaxation, list[NDArray[np.intp]]]:
+    """Relax the largest smallest |H| over all frequencies, by adding the worst ones to a few.
+
+    Returns
+    -------
+    relaxation : Relaxation
+    chosen : list of (m_p,) int
+        Its frequencies: indices into the samples of each part, in order.
+
+    Raises
+    ------
+    ValueError
+        If no solver finds an optimum on the first frequencies.
+    """
+    power = np.concatenate([part.random_power(open_chips) for part in parts])
+    sizes = [part.samples.fx.size for part in parts]
+    spread = np.linspace(0, power.size - 1, min(_START // 2, power.size)).astype(np.intp)
+    chosen = np.unique(np.concatenate([np.argsort(power)[: _START // 2], spread]))
+    best: tuple[Relaxation, Counts] | None = None
+    for _ in range(_ROUNDS):
+        try:
+            found = relax(_columns(parts, _split(chosen, sizes)), open_chips, solvers=solvers)
+        except ValueError:
+            if best is None:
+                raise
+            break
+        value, before = found.weights.sum(), 0.0 if best is None else best[0].weights.sum()
+        if value > before:
+            best = found, chosen
+        if value < before * (1 + _SETTLED):
+            break
+        reached = np.concatenate([_power(part, found.products) for part in parts])
+        low = np.argsort(reached)[:_ADDED]
+        low = low[reached[low] < open_chips / value * (1 - _SETTLED)]
+        used = chosen[found.weights > _UNUSED * found.weights.max()]
+        more = np.unique(np.concatenate([used, low]))
+        if np.isin(low, chosen).all():
+            break
+        chosen = more
+    assert best is not None
+    return best[0], _split(best[1], sizes)
+
+
+def _minimum(
+    parts: Sequence[MotionBasis], open_chips: int, solvers: Sequence[Solver] | None
+) -> tuple[DualProof, FloatArray, float]:
+    found, chosen = relaxed(parts, open_chips, solvers=solvers)
+    weights = np.maximum(found.weights, 0.0)
+    ends = np.cumsum([index.size for index in chosen])
+    matrix = np.zeros_like(found.products)
+    for part, index, share in zip(parts, chosen, np.split(weights, ends[:-1]), strict=True):
+        matrix += replace(part, basis=part.basis[:, index]).gram(share)
+    frequencies = [np.stack([p.samples.fx[i], p.samples.fy[i]], axis=1) for p, i in zip(parts, chosen, strict=True)]
+    proof = DualProof(
+        quantity="min",
+        chips=len(matrix),
+        open_chips=open_chips,
+        motions=tuple(part.motion for part in parts),
+        both=tuple(part.both for part in parts),
+        edges=tuple(part.edges for part in parts),
+        motion=np.repeat(np.arange(len(parts)), [index.size for index in chosen]),
+        frequencies=np.concatenate(frequencies),
+        weights=weights,
+        multipliers=found.multipliers,
+        bound=np.inf,
+    )
+    return proof, matrix, float(weights.sum())
+
+
+def _mean(
+    parts: Sequence[MotionBasis], open_chips: int, solvers: Sequence[Solver] | None
+) -> tuple[DualProof, FloatArray, float]:
+    part, coarse = parts[0], parts[0]
+    samples, chips = part.samples, len(part.basis)
+    if part.motion is not None and straight_axis(part.motion) is not None:
+        few = band_samples(part.motion, oversampling=_STRAIGHT_OVERSAMPLING)
+        basis = chip_basis(part.motion, chips, few.fx, few.fy, edges=part.edges)
+        coarse = replace(part, samples=few, basis=basis)
+    shares = coarse.samples.weight
+    if shares.size > _MOST_FREQUENCIES:
+        raise ValueError(f"samples: {shares.size} frequencies are too many to relax, at most {_MOST_FREQUENCIES}")
+    # the ends of a straight band may weigh nothing
+    seen = shares > 0
+    columns = _columns([coarse], [np.flatnonzero(seen)])
+    found = relax(columns, open_chips, shares=shares[seen], solvers=solvers)
+    ratio = np.sqrt(np.maximum(found.weights, 0.0) / shares[seen])
+    if coarse is not part:
+        radius = [np.hypot(s.fx, s.fy) for s in (samples, coarse.samples)]
+        ratio = np.interp(radius[0], radius[1][seen], ratio)
+    elif part.motion is None:
+        ratio = circle_average(ratio, chips)
+    full = np.zeros_like(samples.weight)
+    full[seen if coarse is part else slice(None)] = ratio
+    weights = samples.weight * full**2
+    proof = DualProof(
+        quantity="noise",
+        chips=chips,
+        open_chips=open_chips,
+        motions=(part.motion,),
+        both=(part.both,),
+        edges=(part.edges,),
+        motion=np.zeros(weights.size, dtype=np.intp),
+        frequencies=np.stack([samples.fx, samples.fy], axis=1),
+        weights=weights,
+        multipliers=found.multipliers,
+        bound=-np.inf,
+    )
+    return proof, part.gram(weights), float(samples.weight @ full) ** 2
+
+
+def _columns(parts: Sequence[MotionBasis], chosen: Sequence[Counts]) -> FloatArray:
+    """``G_f = sum_r columns[:, f, r] columns[:, f, r]'``, (n, m, 2), or 4 where both directions count."""
+    rank = 4 if any(part.both for part in parts) else 2
+    blocks = []
+    for part, index in zip(parts, chosen, strict=True):
+        basis = part.basis[:, index]
+        columns = np.stack([basis.real, basis.imag], axis=2)
+        if part.both:
+            columns = np.concatenate([columns, columns[::-1]], axis=2) / np.sqrt(2)
+        blocks.append(np.pad(columns, ((0, 0), (0, 0), (0, rank - columns.shape[2]))))
+    return np.concatenate(blocks, axis=1)
+
+
+def _power(part: MotionBasis, products: FloatArray) -> FloatArray:
+    """``tr(G_f C)`` on all samples, (F,)."""
+    if part.both:
+        products = 0.5 * (products + products[::-1, ::-1])
+    return np.asarray((part.basis.conj() * (products @ part.basis)).sum(axis=0).real, dtype=np.float64)
+
+
+def _split(chosen: Counts, sizes: Sequence[int]) -> list[Counts]:
+    """Turn indices into all samples into indices into each part's."""
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    return [chosen[(chosen >= low) & (chosen < high)] - low for low, high in pairwise(starts)]

@@ -1,0 +1,191 @@
+"""What may happen instead of the one motion on time: other motions, other speeds, drifting and jittering chips.
+
+Each function varies every one of the scenarios it is given and shares their weight out, so they cross by being nested:
+``jittered(speed_range(alternatives(motion), 0.9, 1.1, 3), chips, 0.05, 4, rng=rng)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.exposure import chip_rows
+from cep.playing import checked_edges
+from cep.response import ShutterResponse
+from motdiff.files import StoredMotion
+from motdiff.trajectory import Trajectory
+
+__all__ = [
+    "MOST_SCENARIOS",
+    "Base",
+    "Scenario",
+    "alternatives",
+    "drifted",
+    "jittered",
+    "scenario_rows",
+    "speed_range",
+]
+
+FloatArray = NDArray[np.float64]
+MOST_SCENARIOS = 256
+"""A search looks at every scenario in every move: more than these are refused."""
+
+_LARGEST_JITTER = 0.15  # chips: three standard deviations of two neighbouring edges do not meet
+_FARTHEST_EDGE = 0.45  # of the shorter chip beside it
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A motion that may happen, with its weight, and when the chips are played along it.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    weight : float
+        Above 0; the weights of a problem's scenarios are relative to their sum.
+    edges : (n + 1,) array_like, optional
+        Chip boundaries as fractions of the exposure; evenly spread over it when omitted.
+
+    Raises
+    ------
+    ValueError
+        If the edges are not increasing, or too far outside the exposure.
+    """
+
+    trajectory: Trajectory
+    weight: float = 1.0
+    edges: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if self.edges is not None:
+            edges = np.array(self.edges, dtype=np.float64)
+            checked_edges(edges, max(1, edges.size - 1)).setflags(write=False)
+            object.__setattr__(self, "edges", edges)
+
+    def path(self, *, reversed_path: bool) -> Trajectory:
+        """Return the motion, or the same run backwards in time; the chips are played in their order either way."""
+        return self.trajectory.reversed() if reversed_path else self.trajectory
+
+
+Base = Trajectory | Scenario | Iterable[Scenario]
+"""What is varied: one motion, or scenarios that other functions of this module made."""
+
+
+def alternatives(motion: StoredMotion) -> tuple[Scenario, ...]:
+    """Motions that may explain a photo, as ``trajectory.json`` stores them, with their probabilities as weights.
+
+    Those without any probability are left out.
+    """
+    everything = [(motion.weight, motion.trajectory), *motion.alternatives]
+    kept = tuple(Scenario(trajectory, weight) for weight, trajectory in everything if weight > 0)
+    return _counted(kept or (Scenario(motion.trajectory),))
+
+
+def speed_range(base: Base, low: float, high: float, count: int) -> tuple[Scenario, ...]:
+    """Scale every path by ``count`` factors, evenly spaced from ``low`` to ``high``: the same time, another length.
+
+    Raises
+    ------
+    ValueError
+        If the factors are not positive and in order, one alone is to span a range, or scenarios are too many.
+    """
+    if not (np.isfinite(high) and 0 < low <= high):
+        raise ValueError(f"speed: factors must be above 0 and in order, got {low:g}..{high:g}")
+    if count < 1 or (count == 1 and low < high):
+        raise ValueError(f"count: a range of speeds needs at least 2 of them, got {count}")
+    factors = np.linspace(low, high, count).tolist()
+    return _varied(base, count, lambda one: [replace(one, trajectory=one.trajectory.scaled(f)) for f in factors])
+
+
+def drifted(base: Base, chips: int, amounts: float | Sequence[float]) -> tuple[Scenario, ...]:
+    """Play the code ``1 + amount`` times as slowly as meant, for each amount: its chips cover another part of the path.
+
+    Code and exposure begin together. A slow code (amount above 0) outlasts the exposure, see
+    :func:`cep.playing.extended`; a fast one leaves its end unused. Give 0 as well to keep the code played on time.
+
+    Raises
+    ------
+    ValueError
+        If an amount is outside -0.5..0.5, or scenarios are too many.
+    """
+    each = [float(amount) for amount in np.atleast_1d(amounts)]
+    if not each or not all(-0.5 <= amount <= 0.5 for amount in each):
+        raise ValueError(f"amounts: must lie within -0.5..0.5, got {', '.join(f'{a:g}' for a in each) or 'none'}")
+    return _varied(base, len(each), lambda one: [_at(one, _edges(one, chips) * (1 + amount)) for amount in each])
+
+
+def jittered(
+    base: Base, chips: int, sigma_chips: float, count: int, *, rng: np.random.Generator
+) -> tuple[Scenario, ...]:
+    """Move every edge on its own by a normal draw of standard deviation ``sigma_chips``, ``count`` times.
+
+    An edge moves by less than half of the shorter chip beside it, so that the edges stay in order.
+
+    Raises
+    ------
+    ValueError
+        If ``sigma_chips`` is outside 0..0.15, ``count`` below 1, or scenarios are too many.
+    """
+    if not 0 <= sigma_chips <= _LARGEST_JITTER:
+        raise ValueError(f"sigma_chips: must lie within 0..{_LARGEST_JITTER:g} chips, got {sigma_chips:g}")
+    if count < 1:
+        raise ValueError(f"count: must be at least 1, got {count}")
+
+    def drawn(one: Scenario) -> list[Scenario]:
+        edges = _edges(one, chips)
+        lengths = np.diff(edges)
+        room = _FARTHEST_EDGE * np.minimum(np.append(lengths, lengths[-1]), np.insert(lengths, 0, lengths[0]))
+        shifts = rng.normal(0.0, sigma_chips / chips, (count, chips + 1))
+        return [_at(one, moved) for moved in edges + np.clip(shifts, -room, room)]
+
+    return _varied(base, count, drawn)
+
+
+def scenario_rows(
+    scenario: Scenario,
+    chips: int,
+    fx_cy_px: ArrayLike,
+    fy_cy_px: ArrayLike,
+    *,
+    response: ShutterResponse | None = None,
+    reversed_path: bool = False,
+) -> NDArray[np.complex128]:
+    """Rows (n, 2, 2, ...) of :func:`cep.exposure.chip_rows` along a scenario, or along its path run backwards.
+
+    The code is played in its own order either way. Only for chips of equal length and an instant shutter are the rows
+    of the reversed path those of the path in the opposite order.
+    """
+    path = scenario.path(reversed_path=reversed_path)
+    return chip_rows(path, chips, fx_cy_px, fy_cy_px, response=response, edges=scenario.edges)
+
+
+def _varied(base: Base, count: int, vary: Callable[[Scenario], list[Scenario]]) -> tuple[Scenario, ...]:
+    if isinstance(base, Trajectory):
+        base = (Scenario(base),)
+    elif isinstance(base, Scenario):
+        base = (base,)
+    given = tuple(base)
+    if len(given) * count > MOST_SCENARIOS:
+        _refuse(len(given) * count)
+    return tuple(replace(made, weight=one.weight / count) for one in given for made in vary(one))
+
+
+def _counted(scenarios: tuple[Scenario, ...]) -> tuple[Scenario, ...]:
+    if len(scenarios) > MOST_SCENARIOS:
+        _refuse(len(scenarios))
+    return scenarios
+
+
+def _refuse(count: int) -> None:
+    raise ValueError(f"scenarios: {count} are too many, at most {MOST_SCENARIOS}; take fewer speeds, draws or motions")
+
+
+def _edges(scenario: Scenario, chips: int) -> FloatArray:
+    return checked_edges(scenario.edges, chips)
+
+
+def _at(scenario: Scenario, edges: FloatArray) -> Scenario:
+    return replace(scenario, edges=edges)

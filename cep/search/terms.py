@@ -1,0 +1,285 @@
+"""What the compiled loops judge a move by: sums over frequencies, changed by one row of the chip basis per chip.
+
+A code's cost is made of sums over frequencies of terms that are never negative, so a move is refused as soon as the
+terms seen exceed what would be accepted. Frequencies come in blocks of 64, the worst ones first.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.compiled import compiled, inlined
+
+__all__ = [
+    "BLOCK",
+    "FLATNESS",
+    "RECIPROCAL",
+    "SMALLEST",
+    "STEEP",
+    "Tables",
+    "add_rows",
+    "alone",
+    "decibels",
+    "judge",
+    "sum_of_cost",
+    "sums_over",
+    "turn",
+]
+
+Floats = NDArray[np.float32]
+Ints = NDArray[np.int64]
+RECIPROCAL, STEEP, FLATNESS = 0, 1, 2  # objectives: sum of 1 / x, sum of 1 / x^4, variance of |H|
+BLOCK = 64
+SMALLEST = np.float32(1e-8)  # of |P|^2: a chip has |P| of about 1
+
+
+class Tables(NamedTuple):
+    """A problem as the loop reads it; nb blocks of frequencies, those of one part side by side.
+
+    Attributes
+    ----------
+    rows : (chips, V, nb, 2, 64) float32
+        Change of the OTF, in chips, when a chip opens: real and imaginary parts. V is 4 where its neighbours matter
+        (2 left + right, open or closed), else 1.
+    layout : (parts, 3) int64
+        First block, one past the last, and scenario of each part: a scenario in one direction.
+    kinds, weights : (objectives,) int64, float64
+    scale, offset : (objectives, nb, Q, 64) float32
+        The terms' x is ``light scale |P|^2 + offset``, of which Q belong to each frequency.
+    light : (objectives, chips + 1) float32
+        Factor of |P|^2 by number of open chips.
+    shares : (scenarios,) float64
+    mean_rule : bool
+        Whether scenarios count by their shares, or as the worst.
+    """
+
+    rows: Floats
+    layout: Ints
+    kinds: Ints
+    weights: NDArray[np.float64]
+    scale: Floats
+    offset: Floats
+    light: Floats
+    shares: NDArray[np.float64]
+    mean_rule: bool
+
+
+@inlined
+def _block_power(rows: Floats, otf: Floats, picked: Ints, count: int, chips: int, block: int, work: Floats) -> None:
+    """|P|^2 of a changed code on one block, summed over frames, into work[2]; ``picked`` as :func:`turn` notes it."""
+    for f in range(BLOCK):
+        work[2, f] = SMALLEST
+    for frame in range(otf.shape[0]):
+        for f in range(BLOCK):
+            work[0, f] = otf[frame, block, 0, f]
+            work[1, f] = otf[frame, block, 1, f]
+        for c in range(count):
+            chip, variant = picked[c, 0], picked[c, 1]
+            if chip // chips != frame:
+                continue
+            if picked[c, 2] > 0:
+                for f in range(BLOCK):
+                    work[0, f] += rows[chip, variant, block, 0, f]
+                    work[1, f] += rows[chip, variant, block, 1, f]
+            else:
+                for f in range(BLOCK):
+                    work[0, f] -= rows[chip, variant, block, 0, f]
+                    work[1, f] -= rows[chip, variant, block, 1, f]
+        for f in range(BLOCK):
+            work[2, f] += work[0, f] * work[0, f] + work[1, f] * work[1, f]
+
+
+@inlined
+def _pair_sum(
+    rows: Floats,
+    otf: Floats,
+    scale: Floats,
+    offset: Floats,
+    light: np.float32,
+    plain: np.float32,
+    sharp: np.float32,
+    picked: Ints,
+    block: int,
+) -> np.float32:
+    """One objective's terms on one block when two chips of a single frame change: the usual move, nothing stored."""
+    one, total = np.float32(1), np.float32(0)
+    a, u, b, v = picked[0, 0], picked[0, 1], picked[1, 0], picked[1, 1]
+    s, t = np.float32(picked[0, 2]), np.float32(picked[1, 2])
+    for f in range(BLOCK):
+        x = otf[0, block, 0, f] + s * rows[a, u, block, 0, f] + t * rows[b, v, block, 0, f]
+        y = otf[0, block, 1, f] + s * rows[a, u, block, 1, f] + t * rows[b, v, block, 1, f]
+        term = one / (light * scale[0, block, 0, f] * (x * x + y * y + SMALLEST) + offset[0, block, 0, f])
+        square = term * term
+        total += plain * term + sharp * square * square
+    return total
+
+
+@inlined
+def _pair_sums(
+    rows: Floats,
+    layout: Ints,
+    otf: Floats,
+    scale: Floats,
+    offset: Floats,
+    light: np.float32,
+    steep: bool,
+    picked: Ints,
+    limit: float,
+    sums: NDArray[np.float64],
+) -> bool:
+    """As :func:`sums_over` for the usual move."""
+    plain, sharp = np.float32(not steep), np.float32(steep)  # a branch would keep vector instructions away
+    for part in range(layout.shape[0]):
+        total = 0.0
+        for block in range(layout[part, 0], layout[part, 1]):
+            total += float(_pair_sum(rows, otf, scale, offset, light, plain, sharp, picked, block))
+            if total > limit:
+                return False
+        sums[0, part, 0] = total
+    return True
+
+
+@compiled
+def sums_over(
+    rows: Floats,
+    layout: Ints,
+    kinds: Ints,
+    scale: Floats,
+    offset: Floats,
+    lights: Floats,
+    otf: Floats,
+    picked: Ints,
+    count: int,
+    chips: int,
+    opened: int,
+    limit: float,
+    work: Floats,
+    sums: NDArray[np.float64],
+) -> bool:
+    """Sum the terms of every part and objective for a changed code; False as soon as the first exceeds ``limit``."""
+    one = np.float32(1)
+    for part in range(layout.shape[0]):
+        for o in range(kinds.size):
+            sums[o, part, 0] = 0.0
+            sums[o, part, 1] = 0.0
+        for block in range(layout[part, 0], layout[part, 1]):
+            _block_power(rows, otf, picked, count, chips, block, work)
+            for o in range(kinds.size):
+                total, mean, light = np.float32(0), np.float32(0), lights[o, opened]
+                if kinds[o] == STEEP:
+                    for f in range(BLOCK):
+                        term = one / (scale[o, block, 0, f] * work[2, f] + offset[o, block, 0, f])
+                        square = term * term
+                        total += square * square
+                elif kinds[o] == RECIPROCAL:
+                    for q in range(scale.shape[2]):
+                        for f in range(BLOCK):
+                            total += one / (light * scale[o, block, q, f] * work[2, f] + offset[o, block, q, f])
+                else:
+                    for f in range(BLOCK):
+                        total += scale[o, block, 0, f] * work[2, f]
+                        mean += scale[o, block, 0, f] * np.sqrt(work[2, f])
+                sums[o, part, 0] += total
+                sums[o, part, 1] += mean
+            if sums[0, part, 0] > limit:
+                return False
+    return True
+
+
+@compiled
+def decibels(tables: Any, sums: NDArray[np.float64], opened: int) -> float:
+    """Cost of the sums: a scenario counts as its worse direction; scenarios as the worst, or by their shares."""
+    layout, kinds = tables.layout, tables.kinds
+    worst, mean, scenario, here = -np.inf, 0.0, -1, -np.inf
+    for part in range(layout.shape[0]):
+        total = 0.0
+        for o in range(kinds.size):
+            value = sums[o, part, 0]
+            if kinds[o] == FLATNESS:
+                value = max(value - sums[o, part, 1] ** 2, 1e-12 * value) * tables.light[o, opened]
+            total += tables.weights[o] * (2.5 if kinds[o] == STEEP else 10.0) * np.log10(value)
+        if layout[part, 2] != scenario:
+            if scenario >= 0:
+                mean += tables.shares[scenario] * here
+            scenario, here = layout[part, 2], total
+        else:
+            here = max(here, total)
+        worst = max(worst, total)
+    mean += tables.shares[scenario] * here
+    return mean if tables.mean_rule else worst
+
+
+@inlined
+def alone(tables: Any) -> bool:
+    """Whether one sum over frequencies decides: a look at a move may then end early."""
+    return len(tables.kinds) == 1 and tables.kinds[0] != FLATNESS and not tables.mean_rule
+
+
+@inlined
+def sum_of_cost(tables: Any, cost_db: float) -> float:
+    """Sum that costs so much, where one sum decides."""
+    per_decade: float = tables.weights[0] * (2.5 if tables.kinds[0] == STEEP else 10.0)
+    total: float = 10.0 ** (cost_db / per_decade)
+    return total
+
+
+@inlined
+def turn(code: NDArray[np.int8], changed: Ints, count: int, chips: int, variants: int, picked: Ints) -> int:
+    """Turn the changed chips over, one by one; how many more are open.
+
+    ``picked`` (at least 2, 3) takes chip, variant, and 1 for opening, -1 for closing, 0 for neither.
+    """
+    opened = 0
+    for c in range(count):
+        j = changed[c]
+        picked[c, 0], picked[c, 1], picked[c, 2] = j, 0, 1 - 2 * code[j]
+        if variants == 4:
+            place = j % chips
+            left = code[j - 1] if place > 0 else 0
+            right = code[j + 1] if place < chips - 1 else 0
+            picked[c, 1] = 2 * left + right
+        opened += picked[c, 2]
+        code[j] = 1 - code[j]
+    if count == 1:
+        picked[1, 0], picked[1, 1], picked[1, 2] = picked[0, 0], picked[0, 1], 0
+    return opened
+
+
+@inlined
+def judge(
+    rows: Floats,
+    layout: Ints,
+    kinds: Ints,
+    scale: Floats,
+    offset: Floats,
+    light: Floats,
+    otf: Floats,
+    picked: Ints,
+    count: int,
+    chips: int,
+    opened: int,
+    limit: float,
+    work: Floats | None,
+    sums: NDArray[np.float64],
+) -> bool:
+    """Sum the terms of a code changed by ``picked``; False as soon as a sum exceeds ``limit``.
+
+    The tables come one by one: taking them out of their tuple for every move would cost more than the sums.
+    """
+    # without work space only the usual moves are compiled
+    if work is None:
+        return _pair_sums(rows, layout, otf, scale, offset, light[0, opened], kinds[0] == STEEP, picked, limit, sums)
+    return sums_over(rows, layout, kinds, scale, offset, light, otf, picked, count, chips, opened, limit, work, sums)
+
+
+@inlined
+def add_rows(rows: Floats, otf: Floats, picked: Ints, count: int, chips: int) -> None:
+    """Change the OTF in place."""
+    for c in range(count):
+        sign, row = np.float32(picked[c, 2]), rows[picked[c, 0], picked[c, 1]].ravel()
+        changed = otf[picked[c, 0] // chips].ravel()  # a view, as rows are
+        for f in range(changed.size):
+            changed[f] += sign * row[f]

@@ -1,0 +1,112 @@
+"""The second opinion's own sums: H and its gradient, straight from the vertices; it imports nothing but numpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Lines", "RefusedError", "chip_lines", "named", "on_axis", "path_lines"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_CHUNK = 2**19
+
+
+class RefusedError(Exception):
+    """A claim that does not hold, in words."""
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Straight pieces seen by the shutter, about their centroid: weights (S,), middles and extents (S, 2)."""
+
+    weight: FloatArray
+    middle: FloatArray
+    delta: FloatArray
+    principal: float
+    spread: float
+    slack: float
+
+    def look(self, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """H (F,) and its gradient (F, 2) at frequencies (F, 2)."""
+        if not self.delta.any():
+            return self._look_at_points(f)
+        value, slope = np.empty(len(f), np.complex128), np.empty((len(f), 2), np.complex128)
+        step = max(1, _CHUNK // len(self.weight))
+        for lo in range(0, len(f), step):
+            part = f[lo : lo + step]
+            turns, x = part @ self.middle.T, pi * (part @ self.delta.T)
+            small = np.abs(x) < 1e-3
+            safe = np.where(small, 1.0, x)
+            gain = np.where(small, 1 - x * x / 6, np.sin(safe) / safe)
+            change = np.where(small, -x / 3 + x**3 / 30, (np.cos(safe) - gain) / safe)
+            wave = self.weight * np.exp(-2j * pi * (turns - np.rint(turns)))
+            seen = wave * gain
+            value[lo : lo + step] = seen.sum(axis=1)
+            slope[lo : lo + step] = -2j * pi * (seen @ self.middle) + pi * ((wave * change) @ self.delta)
+        return value, slope
+
+    def _look_at_points(self, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Sum open chips in the machine's longest floating point: a minimum may be a millionth of their number."""
+        value, slope = np.empty(len(f), np.complex128), np.zeros((len(f), 2), np.complex128)
+        step = max(1, _CHUNK // len(self.weight))
+        places = self.middle[:, 0].astype(np.longdouble)
+        for lo in range(0, len(f), step):
+            turns = f[lo : lo + step, :1].astype(np.longdouble) * places
+            wave = np.exp(-2j * (4 * np.arctan(np.longdouble(1))) * (turns - np.rint(turns)))
+            value[lo : lo + step] = wave.sum(axis=1)
+            slope[lo : lo + step, 0] = -2j * pi * (wave * places).sum(axis=1)
+        return value, slope
+
+
+def chip_lines(bits: str) -> Lines:
+    """Open chips as points on a line, a chip a unit."""
+    places = np.array([k for k, bit in enumerate(bits) if bit == "1"], dtype=np.float64)
+    ends = np.stack([places, 0 * places], axis=1)
+    return _about_centroid(np.ones(len(places)), ends, ends)
+
+
+def path_lines(bits: str, t: FloatArray, xy: FloatArray) -> Lines:
+    """Cut a path at its vertices and at equal chips, and keep what the open ones see."""
+    chips = len(bits)
+    cuts = np.union1d(t, np.arange(chips + 1) / chips)
+    cuts = cuts[(cuts >= 0) & (cuts <= 1)]
+    ends = np.stack([np.interp(cuts, t, xy[:, 0]), np.interp(cuts, t, xy[:, 1])], axis=1)
+    chip = np.clip(np.floor((cuts[1:] + cuts[:-1]) / 2 * chips).astype(int), 0, chips - 1)
+    seen = np.array([bit == "1" for bit in bits])[chip]
+    return _about_centroid(np.diff(cuts)[seen], ends[:-1][seen], ends[1:][seen])
+
+
+def _about_centroid(weight: FloatArray, a: FloatArray, b: FloatArray) -> Lines:
+    middle, delta, total = (a + b) / 2, b - a, float(weight.sum())
+    # whole chips stay whole, so that their phases are exact to the last digit
+    centre = np.average(middle, axis=0, weights=weight)
+    middle = middle - (centre if delta.any() else np.rint(centre))
+    spread = float((np.abs(middle) + np.abs(delta)).max())
+    second = np.einsum("s,si,sj->ij", weight, middle, middle) + np.einsum("s,si,sj->ij", weight, delta, delta) / 12
+    # roundings: of each phase in proportion to the turns, and one per term of the sum
+    rounding = float(np.finfo(np.longdouble if not delta.any() else np.float64).eps) * 0.55
+    slack = rounding * (total * (100 * (spread + 1) + len(weight) + 100) + 10 * len(weight))
+    return Lines(weight, middle, delta, float(np.linalg.eigvalsh(second)[-1]) * (1 + 1e-9), spread, slack)
+
+
+def on_axis(lines: Lines, box: FloatArray) -> tuple[Lines, FloatArray]:
+    """Along a straight path H depends on one frequency only: look at a line instead of the band."""
+    shift = lines.delta[np.argmax(np.abs(lines.delta).sum(axis=1))]
+    size = float(np.hypot(*shift))
+    if box[1, 0] == box[1, 1] or size == 0:
+        return lines, box
+    along, across = shift / size, np.array([-shift[1], shift[0]]) / size
+    if np.abs(lines.middle @ across).max() + np.abs(lines.delta @ across).max() > 1e-12 * lines.spread:
+        return lines, box
+    a, b = (np.stack([ends @ along, 0 * lines.weight], axis=1) for ends in
+            (lines.middle - lines.delta / 2, lines.middle + lines.delta / 2))  # fmt: skip
+    return _about_centroid(lines.weight, a, b), np.array([[0.0, 0.5 * np.abs(along).sum()], [0.0, 0.0]])
+
+
+def named(at: FloatArray) -> str:
+    """Write a frequency."""
+    return "(" + ", ".join(f"{value:.6g}" for value in at) + ")"

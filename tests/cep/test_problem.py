@@ -1,0 +1,112 @@
+"""The search problem: forced chips, limits that conflict, and what measuring under a real shutter means."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cep.band import band_samples
+from cep.code import ShutterCode
+from cep.exposure import coded_otf
+from cep.mtf import measure, worst_of
+from cep.response import ShutterResponse
+from cep.search.limits import Limits, feasible, fixed_mask
+from cep.search.problem import Scenario, SearchProblem
+from cep.search.scenarios import drifted
+from motdiff.trajectory import Trajectory
+
+BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
+CODE = ShutterCode("110100011")
+SLOW = ShutterResponse(chip_ns=100, rise_ns=60, fall_ns=80, on_bias_ns=10)
+
+
+@given(st.integers(0, 99), st.integers(4, 60), st.data())
+@settings(max_examples=60, deadline=None)
+def test_drawn_codes_keep_every_limit(seed, chips, data):
+    low = data.draw(st.integers(1, chips))
+    options = {
+        "open_range": (low, data.draw(st.integers(low, chips))),
+        "min_open": data.draw(st.integers(1, 3)),
+        "min_closed": data.draw(st.integers(1, 4)),
+        "max_pulses": data.draw(st.none() | st.integers(1, 6)),
+        "fixed": data.draw(st.none() | st.text("01" + "?" * 8, min_size=chips, max_size=chips)),
+    }
+    if not feasible(Limits(chips, **options)):
+        with pytest.raises(ValueError, match=r"conflict|no code of"):
+            SearchProblem(chips=chips, **options)
+        return
+    problem = SearchProblem(chips=chips, **options)
+    codes = problem.random_codes(12, rng=np.random.default_rng(seed))
+    assert codes.shape == (12, chips)
+    assert problem.satisfied(codes).all()
+    if problem.fixed:
+        free = np.array([mark == "?" for mark in problem.fixed])
+        assert (codes[:, ~free] == [int(mark) for mark in problem.fixed if mark != "?"]).all()
+        broken = codes[:1].copy()
+        broken[0, int(np.flatnonzero(~free)[0])] ^= 1
+        assert not problem.satisfied(broken)[0]
+
+
+def test_forced_chips_are_a_limit_like_others():
+    mask = fixed_mask(6, first_open=True, forced_closed=[2])
+    problem = SearchProblem(chips=6, fixed=mask)
+    assert problem.constrained
+    assert problem.limits.fixed == mask
+    assert not SearchProblem(chips=6, fixed="??????").constrained
+    kept = problem.satisfied(np.array([[1, 1, 0, 0, 1, 1], [0, 1, 0, 0, 1, 1], [1, 1, 1, 0, 1, 1]]))
+    assert kept.tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"fixed": "1?"}, "fixed: must have one character for each of 9 chips, got 2"),
+        ({"fixed": "1???????x"}, "fixed: must be a string of 0"),
+        ({"fixed": "000000000"}, "fixed (0 forced open, 9 forced closed): no code of 9 chips keeps it"),
+        (
+            {"fixed": "10?????01", "min_open": 2},
+            "min_open 2 and fixed (2 forced open, 2 forced closed) conflict: no code of 9 chips keeps both",
+        ),
+        ({"open_range": (2, 4), "min_open": 5}, "min_open: runs of 5 open chips conflict with at most 4 open chips"),
+        ({"response": SLOW}, "response: needs a motion (scenarios)"),
+        ({"scenarios": (Scenario(BENT, edges=np.linspace(0, 1, 9)),)}, "edges: 9 chips need 10 edges"),
+        (
+            {"scenarios": (Scenario(BENT, edges=np.linspace(0, 0.8, 10)),), "response": SLOW},
+            "response: opening or closing takes 90 ns, but the shortest chip of these edges lasts 80 ns",
+        ),
+    ],
+)
+def test_bad_problems_are_named(options, line):
+    with pytest.raises(ValueError, match=r".") as caught:
+        SearchProblem(chips=9, **options)
+    assert str(caught.value).startswith(line)
+    assert "\n" not in str(caught.value)
+
+
+def test_measuring_counts_every_scenario_direction_and_the_shutter():
+    known = Trajectory(BENT.t, BENT.xy, "known")
+    problem = SearchProblem(chips=9, scenarios=(Scenario(known),))
+    assert problem.measure(CODE) == measure(known, CODE)
+    both = replace(problem, scenarios=(Scenario(BENT),), response=SLOW)
+    ways = [measure(path, CODE, response=SLOW) for path in (BENT, BENT.reversed())]
+    assert ways[0] != ways[1]
+    assert both.measure(CODE) == worst_of(*ways)
+    (late,) = drifted(known, 9, 0.1)
+    assert replace(problem, scenarios=(late,)).measure(CODE) == measure(known, CODE, edges=late.edges)
+
+
+def test_figures_under_a_slow_shutter():
+    samples = band_samples(BENT)
+    modulus = np.abs(coded_otf(BENT, CODE, samples.fx, samples.fy, response=SLOW))
+    found, light = measure(BENT, CODE, response=SLOW), SLOW.open_time(CODE.array[None])[0]
+    assert found.noise_gain_db == pytest.approx(10 * np.log10(samples.weight @ modulus**-2))
+    assert found.dnf_db == pytest.approx(found.noise_gain_db + 20 * np.log10(light))
+    assert 0 <= found.min_mtf_lower <= found.min_mtf <= modulus.min()
+    assert found.min_over_duty == pytest.approx(found.min_mtf / light)
+    straight = measure(Trajectory.straight(9.0), CODE, response=SLOW)
+    assert 0 < 0.99 * straight.min_mtf < straight.min_mtf_lower <= straight.min_mtf
+    assert straight.min_chip is None
+    # the ramps are one more box over the path
+    assert straight.noise_gain_db > measure(Trajectory.straight(9.0), CODE).noise_gain_db
