@@ -21,15 +21,15 @@ from cep.cli.options import (
     load_camera,
     load_motion,
 )
+from cep.cli.search_options import Wish, on_the_circle, problem_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hw.device import DeviceProfile
+    from cep.search.problem import SearchProblem
 
 __all__ = ["optimize"]
 
-_DIRECTIONS = ("auto", "unknown", "forward")
 _STANDARD_CHIPS = 52
 
 
@@ -49,14 +49,37 @@ def optimize(
     min_open: Annotated[int, typer.Option("--min-open", min=1, help="Shortest open run, chips.")] = 1,
     min_closed: Annotated[int, typer.Option("--min-closed", min=1, help="Shortest closed run, chips.")] = 1,
     max_pulses: Annotated[int | None, typer.Option("--max-pulses", min=1, help="Most open runs.")] = None,
+    first_open: Annotated[bool, typer.Option("--first-open", help="The first chip is open.")] = False,
+    last_open: Annotated[bool, typer.Option("--last-open", help="The last chip is open.")] = False,
+    fixed: Annotated[
+        str | None, typer.Option("--fixed", help="A mark per chip: 1 open, 0 closed, ? free, as 1???0?1.")
+    ] = None,
     device: Annotated[
         str | None, typer.Option("--device", help="Search what this shutter can play: a name or a .toml file.")
     ] = None,
     chip_ns: Annotated[int, typer.Option("--chip-ns", min=1, help="Chip time, ns.")] = 1_000_000,
+    alternatives: Annotated[
+        bool, typer.Option("--alternatives", help="Design for the other motions that the file holds as well.")
+    ] = False,
+    speed: Annotated[
+        str | None, typer.Option("--speed", help="Design for these factors of the path's length, as 0.8:1.2.")
+    ] = None,
+    drift: Annotated[
+        float | None, typer.Option("--drift", help="Design for a shutter clock off by so much, as 0.02.")
+    ] = None,
+    jitter: Annotated[
+        float | None, typer.Option("--jitter", help="Design for edges off by so many chips rms, 0..0.15.")
+    ] = None,
+    rule: Annotated[str, typer.Option("--rule", help="Of several motions: worst, or the weighted mean.")] = "worst",
     camera: CameraFile = None,
     photons: Photons = None,
     read_noise: ReadNoise = None,
-    method: Annotated[str, typer.Option("--method", help="anneal.")] = "anneal",
+    method: Annotated[
+        str, typer.Option("--method", help="anneal; or exact, which proves the best min-mtf, to about 40 chips.")
+    ] = "anneal",
+    effort: Annotated[
+        str, typer.Option("--bound", help="quick; or sdp: half a minute for a tighter bound along curved motion.")
+    ] = "quick",
     time_s: Annotated[float, typer.Option("--time", help="Time limit of the search, s.")] = 60.0,
     steps: Annotated[
         int | None,
@@ -71,112 +94,93 @@ def optimize(
 ) -> None:
     """Search the shutter code whose coded photo restores best along a motion; Ctrl-C keeps the best so far.
 
-    With --objective min-mtf, the JSON fields bound and gap say what no code of so much light can exceed, and how far
-    below it this one stays, 0..1: of min_chip for a uniform straight motion, of min_mtf for any other. They are null
-    for the other objectives. Noise gains above 100 dB, those of codes with a zero, are null too.
+    Of the JSON fields, bound says what no code of so much light can exceed: min_chip for a uniform straight motion,
+    else min_mtf, or with --objective noise the noise gain that none can fall below. gap says how far off this code is,
+    0..1, or in dB for the noise. They are null for other objectives. Noise gains above 100 dB, those of codes with a
+    zero, are null too. The certificate proves the minimum; cep audit code.json checks it again.
 
     Example: cep optimize --trajectory motion/trajectory.json --chips 40 --duty 0.4:0.6 -o code.json
+
+    Example: cep optimize --linear 36 --chips 36 --method exact
     """
-    from dataclasses import replace
+    from dataclasses import asdict, replace
 
     import numpy as np
 
-    from cep.audit import minimum_along
-    from cep.band import uniform_length_px
     from cep.baselines.compare import compare
-    from cep.baselines.published import for_chips
+    from cep.certificate import certify
     from cep.design import check_frame, check_resolved
     from cep.files import StoredCode, write_code
     from cep.outputs import claim
-    from cep.search.anneal import anneal, standard_moves
-    from cep.search.bounds import bound
-    from cep.search.problem import Scenario, SearchProblem
     from hw.device import load_profile
     from hw.program import Program
 
-    if method != "anneal":
-        raise ValueError(f"--method: there is anneal, got {method!r}")
-    if direction not in _DIRECTIONS:
-        raise ValueError(f"--direction: must be one of {', '.join(_DIRECTIONS)}, got {direction!r}")
+    if method not in ("anneal", "exact"):
+        raise ValueError(f"--method: must be anneal or exact, got {method!r}")
+    if effort not in ("quick", "sdp"):
+        raise ValueError(f"--bound: must be quick or sdp, got {effort!r}")
+    wish = Wish(
+        chips=chips, chip_ns=chip_ns, open_chips=open_chips, duty=duty, objective=objective, direction=direction,
+        min_open=min_open, min_closed=min_closed, max_pulses=max_pulses, first_open=first_open, last_open=last_open,
+        fixed=fixed, alternatives=alternatives, speed=speed, drift=drift, jitter=jitter, rule=rule,
+    )  # fmt: skip
     stored = load_motion(trajectory, linear)
     motion = stored.trajectory
     check_frame(motion)
     check_resolved(motion, chips)
     profile = None if device is None else load_profile(device)
-    straight = uniform_length_px(motion) is not None
-    limits = _limits(chips, open_chips, duty, profile, chip_ns)
-    problem = SearchProblem(
-        chips=chips,
-        scenarios=(Scenario(motion),),
-        open_range=limits["open_range"],
-        objective=objective or ("min-mtf" if straight else "mse"),
-        direction=direction,  # type: ignore[arg-type]
-        min_open=max(min_open, limits["min_open"]),
-        min_closed=max(min_closed, limits["min_closed"]),
-        max_pulses=min((v for v in (max_pulses, limits["max_pulses"]) if v is not None), default=None),
+    problem = problem_of(
+        wish,
+        stored,
         camera=load_camera(camera, photons=photons, read_noise=read_noise),
+        profile=profile,
+        rng=np.random.default_rng([seed, 2]),
     )
-    # a straight motion's zeros from the chip itself are no fault of the code: the polynomial is what can be chosen
+    straight = on_the_circle(problem)
     searched = replace(problem, scenarios=()) if straight and problem.objective == "min-mtf" else problem
     claim([output], force=force)
-    known = [entry.code for entry in for_chips(chips)]
-    with progress("searching") as tick:
-        found = anneal(
-            searched,
-            rng=np.random.default_rng(seed),
-            steps=steps or standard_moves(searched),
-            time_s=time_s,
-            start=known,
-            progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"),
-        )
-    code = replace(found.code, chip_ns=chip_ns)
+    found = _search(searched, method=method, steps=steps, time_s=time_s, seed=seed)
+    code = replace(found["code"], chip_ns=chip_ns)
     problems = profile.check(Program.from_bits(code.bits, chip_ns=chip_ns)) if profile else ()
     if problems:
         raise ValueError(f"no code was found that the device can play: {'; '.join(problems)}")
     described = {
+        **{name: value for name, value in asdict(wish).items() if name not in ("open_chips", "duty", "chip_ns")},
         "trajectory": None if trajectory is None else str(trajectory),
         "linear_px": linear,
-        "chips": chips,
         "open_range": problem.open_limits,
         "objective": problem.objective,
-        "direction": direction,
         "min_open": problem.min_open,
         "min_closed": problem.min_closed,
         "max_pulses": problem.max_pulses,
+        "fixed": problem.fixed,
         "device": device,
         "camera": problem.camera.to_dict(),
         "method": method,
-        "steps": found.steps,
+        "steps": found["steps"],
+        "proof": found["proof"],
         "seed": seed,
     }
     write_code(output, StoredCode(code, problem=described))  # already: Ctrl-C from here on must not lose it
     ours, *others = compare(problem, code, rng=np.random.default_rng([seed, 1]))
     metrics = ours.metrics
-    minimum = minimum_along(code, None if straight else _as_designed(motion, direction))
-    limit, reached = None, metrics.min_chip if straight else metrics.min_mtf
-    if problem.objective == "min-mtf":
-        limit = bound(problem).min_chip if straight else bound(problem).min_mtf
-    certificate = {
-        "unit": "chips" if straight else "light-true",
-        "lower": minimum.lower,
-        "upper": minimum.upper,
-        "at": minimum.at,
-        "method": minimum.method,
-    }
+    certificate = certify(code, None if straight else _as_designed(motion, direction)).to_dict()
+    figure, limit, gap = _bounded(problem, metrics, straight=straight, effort=effort)
     write_code(output, StoredCode(code, metrics.to_dict(), described, certificate))
-    warnings = ["the search was stopped early, this is the best code so far"] if found.interrupted else []
+    warnings = _warnings(problem, interrupted=found["interrupted"], method=method)
     result = {
         "file": output,
         **code_figures(code),
         "chip_ns": chip_ns,
         **metrics.to_dict(),
-        "objective": found.objective,
+        "objective": found["objective"],
+        "proven": found["proof"] is not None and not found["interrupted"],
         "certificate": certificate,
         "bound": limit,
-        "gap": None if limit is None or reached is None else 1 - reached / limit,
-        "seconds": found.seconds,
-        "steps": found.steps,
-        "interrupted": found.interrupted,
+        "gap": gap,
+        "seconds": found["seconds"],
+        "steps": found["steps"],
+        "interrupted": found["interrupted"],
         "baselines": {
             row.name: {"bits": row.code.bits, "open": row.code.open_chips, **row.metrics.to_dict()} for row in others
         },
@@ -186,7 +190,7 @@ def optimize(
 
     def show(console: Console) -> None:
         console.print(f"{output}: {code.bits}")
-        console.print(f"{code.open_chips} of {chips} chips open, {code.pulses} openings, {found.seconds:.1f} s")
+        console.print(f"{code.open_chips} of {chips} chips open, {code.pulses} openings, {found['seconds']:.1f} s")
         columns = ("code", "open", "min |P|, chips" if straight else "min MTF", "noise gain, dB", "MSE, dB")
         lowest = "min_chip" if straight else "min_mtf"
         rows = [
@@ -198,56 +202,79 @@ def optimize(
             for row in (ours, *others)
         ]
         console.print(table("compared on this motion (worse direction where unknown)", columns, rows))
-        if limit is not None and reached is not None:
-            console.print(
-                f"no code with so many open chips exceeds {limit:.4g}: this one has {reached / limit:.0%} of it"
-            )
+        console.print(
+            f"certified: min {'|P|' if straight else '|H|'} lies within "
+            f"{certificate['lower']:.6g}..{certificate['upper']:.6g} ({certificate['method']})"
+        )
+        if result["proven"]:
+            console.print("proven: no code within the limits is better")
+        elif limit is not None:
+            console.print(f"{figure}: no code with so many open chips can do better than {limit:.4g}")
 
     finish(result, as_json=as_json, show=show)
 
 
-def _limits(
-    chips: int, open_chips: str | None, duty: str | None, profile: DeviceProfile | None, chip_ns: int
-) -> dict[str, Any]:
-    from cep.design import limits_of_device
-    from cep.search.problem import open_range_of_duty
+def _search(problem: SearchProblem, *, method: str, steps: int | None, time_s: float, seed: int) -> dict[str, Any]:
+    """Run the search; code, objective, steps, seconds, interrupted, and the proof's log, None without one."""
+    import numpy as np
 
-    if open_chips is not None and duty is not None:
-        raise ValueError("--open and --duty: give one of them")
-    low, high = 1, chips
-    if open_chips is not None:
-        low, high = _whole_range("--open", open_chips)
-        if not 1 <= low <= high <= chips:
-            raise ValueError(f"--open: must lie within 1..{chips}, got {open_chips}")
-    elif duty is not None:
-        low, high = open_range_of_duty(chips, *_real_range("--duty", duty))
-    if profile is None:
-        return {"open_range": (low, high), "min_open": 1, "min_closed": 1, "max_pulses": None}
-    limits = dict(limits_of_device(profile, chips=chips, chip_ns=chip_ns))
-    most = limits.pop("max_open")
-    if most is not None:
-        if most < low:
-            raise ValueError(
-                f"{profile.name}: at most {most} of {chips} chips may be open, at least {low} were asked for"
-            )
-        high = min(high, most)
-    return {"open_range": (low, high), **limits}
+    from cep.baselines.published import for_chips
+    from cep.search.anneal import anneal, standard_moves
+    from cep.search.exact import codes_to_count, exact
+
+    if method == "exact":
+        with progress(f"counting {codes_to_count(problem):.2g} codes") as tick:
+            proven = exact(problem, progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"))
+        return {
+            "code": proven.code,
+            "objective": -20 * float(np.log10(max(proven.minimum.upper, 1e-300))),
+            "steps": codes_to_count(problem),
+            "seconds": proven.seconds,
+            "interrupted": not proven.proven,
+            "proof": proven.proof.to_dict(),
+        }
+    with progress("searching") as tick:
+        found = anneal(
+            problem,
+            rng=np.random.default_rng(seed),
+            steps=steps or standard_moves(problem),
+            time_s=time_s,
+            start=[entry.code for entry in for_chips(problem.chips)],
+            progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"),
+        )
+    return {
+        "code": found.code,
+        "objective": found.objective,
+        "steps": found.steps,
+        "seconds": found.seconds,
+        "interrupted": found.interrupted,
+        "proof": None,
+    }
 
 
-def _whole_range(name: str, text: str) -> tuple[int, int]:
-    low, _, high = text.partition(":")
-    try:
-        return int(low), int(high or low)
-    except ValueError:
-        raise ValueError(f"{name}: must be K or LOW:HIGH in whole chips, got {text!r}") from None
+def _bounded(
+    problem: SearchProblem, metrics: Any, *, straight: bool, effort: str
+) -> tuple[str, float | None, float | None]:
+    """Name, bound and gap of the figure that was optimised, None where nothing bounds it."""
+    from cep.search.bounds import bound
+
+    if problem.objective not in ("min-mtf", "noise"):
+        return "", None, None
+    limits = bound(problem, effort=effort)  # type: ignore[arg-type]
+    if problem.objective == "noise":
+        return "noise gain, dB", limits.noise, metrics.noise_gain_db - limits.noise
+    limit, reached = (limits.min_chip, metrics.min_chip) if straight else (limits.min_mtf, metrics.min_mtf)
+    return "min |P|, chips" if straight else "min MTF", limit, 1 - reached / limit
 
 
-def _real_range(name: str, text: str) -> tuple[float, float]:
-    low, _, high = text.partition(":")
-    try:
-        return float(low), float(high or low)
-    except ValueError:
-        raise ValueError(f"{name}: must be LOW:HIGH as 0.4:0.6, got {text!r}") from None
+def _warnings(problem: SearchProblem, *, interrupted: bool, method: str) -> list[str]:
+    told = []
+    if interrupted:
+        what = "the proof was stopped early" if method == "exact" else "the search was stopped early"
+        told.append(f"{what}, this is the best code so far")
+    if problem.response is not None or len(problem.scenarios) > 1 or problem.scenarios[0].edges is not None:
+        told.append("the certificate is for a shutter that opens at once and on time, along the motion as it was given")
+    return told
 
 
 def _as_designed(motion: Any, direction: str) -> Any:

@@ -17,59 +17,35 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from cep.band import straight_axis, uniform_length_px
 from cep.baselines.published import for_chips
 from cep.code import ShutterCode
-from cep.minimum import min_chip, mtf_minimum
-from cep.search.anneal import anneal
+from cep.search.archive import EQUAL_DB, Archive, FrontPoint, Judge, non_dominated
+from cep.search.chains import Cooling, Crew, Walks
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
+from cep.search.tables import has_run_limits, lay_out
+from cep.search.terms import Tables
 
-__all__ = ["Front", "FrontPoint", "NOISE_SHARES", "front_points", "knees", "non_dominated", "pareto_front"]
+__all__ = ["NOISE_SHARES", "Front", "FrontPoint", "front_points", "knees", "non_dominated", "pareto_front"]
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Codes = NDArray[np.int8]
 Progress = Callable[[float, str], None]
 
-NOISE_SHARES = (0.0, 0.7, 0.85, 1.0)
-"""Shares of the noise's decibels in the mixes searched, the rest the minimum's: along a front of 52 chips a decibel less
-noise costs three to six of the minimum."""
+NOISE_SHARES = (0.0, 0.8, 1.0)
+"""Shares of the noise's decibels in the mixes searched, the rest the minimum's: a decibel of noise is worth several."""
 
-_MOST_COUNTS = 24
-_HOPELESS_DB = 100.0  # noise of a code with a zero
-_SLACK_DB = np.array([1e-3, 0.05])  # what coarse samples may make of the minimum, in float32, and of the noise
-_EQUAL_DB = 1e-7  # figures of a code and its mirror image agree only up to rounding
-_JUDGED = 32  # codes at once
-_SWAPS = 4096  # neighbours of a code that are looked at
+_MOST_COUNTS = 64
+_LEEWAY_DB = np.array([1.5, 0.6])  # by which a count's codes may be beaten before it is given up
+_FIRST_LOOKS, _LOOKS = 3, 16  # codes looked around in one go
 _RANDOM, _VARIANTS = 8, 16  # random codes of each count, and copies of each neighbour's code with other light
-_FIRST_MOVES, _GROWTH = 2**14, 4  # of a search in the first round, and from round to round
-_NUMBERS = 2**22  # evaluated at once: 16 MB
-
-
-@dataclass(frozen=True)
-class FrontPoint:
-    """A code and its figures, each the worst over the problem's motions and directions.
-
-    Attributes
-    ----------
-    code : ShutterCode
-    minimum : float
-        Smallest |H|, or |P| in chips; see :attr:`Front.unit`.
-    noise_db : float
-        ``10 log10 mean 1/|H|^2``, light-true.
-    open_chips : int
-    mse_db : float
-        ``10 log10`` of the Wiener restoration's mean square error under the problem's camera.
-    """
-
-    code: ShutterCode
-    minimum: float
-    noise_db: float
-    open_chips: int
-    mse_db: float
+_OVERSAMPLING = 8
+_HOT_DB = {"min-mtf": 0.8, "noise": 0.3}  # as in cep.search.anneal
+_COOLING, _REHEATED = 3.0, 0.6  # hottest over coldest; chains that start from good codes are cooler
+_MOST_SWAPS = 2**14  # of a code that walks can serve
+_CHAINS = 4
+_FIRST_MOVES, _LAST_MOVES, _GROWTH = 2**15, 2**20, 4  # of a chain in the first rounds and the last
 
 
 @dataclass(frozen=True)
@@ -83,9 +59,10 @@ class Front:
     curves : mapping of int to tuple of FrontPoint
         For every number of open chips the codes not beaten by others of the same light, by minimum.
     unit : {"chips", "light-true", "light-true, sampled"}
-        Of the minimum. In chips: of |P| over the whole unit circle. Light-true: of |H| over the band's continuum. Sampled:
-        along a curved path nearly every code has true zeros between the samples, so that the minimum over the continuum
-        tells codes apart no more. The one over the samples is shown, but the front is over noise and light alone.
+        Of the minimum. In chips: of |P| over the whole unit circle. Light-true: of |H| over the band's continuum.
+        Sampled: along a curved path nearly every code has true zeros between the samples, so that the minimum over
+        the continuum tells codes apart no more. The one over the samples is shown, but the front is over noise and
+        light alone.
     problem : SearchProblem
     seconds : float
     steps : int
@@ -108,41 +85,6 @@ class Front:
         return self.unit == "light-true, sampled"
 
 
-def non_dominated(values: ArrayLike) -> BoolArray:
-    """Tell which rows no other row beats: none is at least as good in every column and better in one.
-
-    Parameters
-    ----------
-    values : (R, C) array_like
-        Larger is better in every column.
-
-    Returns
-    -------
-    (R,) bool ndarray
-        Equal rows share their fate.
-
-    Raises
-    ------
-    ValueError
-        If the array has another shape, or a NaN in it.
-
-    Examples
-    --------
-    >>> non_dominated([[1, 5], [2, 4], [2, 3], [1, 5]]).tolist()
-    [True, True, False, True]
-    """
-    table = np.asarray(values, dtype=np.float64)
-    if table.ndim != 2 or np.isnan(table).any():
-        raise ValueError(f"values: must be a table of numbers (R, C) without NaN, got shape {table.shape}")
-    rows, place = np.unique(table, axis=0, return_inverse=True)
-    keep = np.ones(len(rows), dtype=np.bool_)
-    for index in range(len(rows) - 1, -1, -1):
-        # rows ascend: only later ones can beat this one, and they are settled
-        if keep[index]:
-            keep[:index] &= (rows[:index] > rows[index]).any(axis=1)
-    return np.asarray(keep[place.reshape(-1)])
-
-
 def pareto_front(
     problem: SearchProblem,
     *,
@@ -163,7 +105,7 @@ def pareto_front(
     rng : numpy Generator
         The same seed and ``steps`` give the same front, as long as ``time_s`` is not reached.
     counts : sequence of int, optional
-        Numbers of open chips; as many as the problem allows, or 24 evenly spread over them, when omitted.
+        Numbers of open chips; as many as the problem allows, or 64 evenly spread over them, when omitted.
     shares : sequence of float
         Shares of the noise in the mixes searched, 0..1, the rest being the minimum's; on curved paths noise alone.
     steps : int, optional
@@ -193,7 +135,6 @@ def pareto_front(
     try:
         search.begin()
         search.rounds((1.0,) if search.judge.sampled_only else tuple(shares))
-        interrupted = steps is not None and search.moves < steps
     except _TimeIsUp:
         interrupted = steps is not None
     except KeyboardInterrupt:
@@ -203,7 +144,7 @@ def pareto_front(
 
 def front_points(problem: SearchProblem, codes: Iterable[ShutterCode]) -> tuple[FrontPoint, ...]:
     """Judge codes as a front's are, whether or not they keep the problem's limits."""
-    return _Judge(problem).points([code.array.astype(np.int8) for code in codes])
+    return Judge(problem).points([code.array.astype(np.int8) for code in codes])
 
 
 def knees(front: Front) -> dict[str, FrontPoint]:
@@ -231,133 +172,6 @@ class _TimeIsUp(Exception):  # noqa: N818 - no error
     """Ends the search wherever it is."""
 
 
-class _Judge:
-    """Figures of codes: quick ones on coarse samples, and those that count."""
-
-    def __init__(self, problem: SearchProblem) -> None:
-        self._problem = replace(problem, objective="noise")
-        lowest = replace(problem, objective="min-mtf")
-        self.sampled_only = any(straight_axis(s.trajectory) is None for s in problem.scenarios)
-        self._coarse = tuple(Objective(p, oversampling=8) for p in (lowest, self._problem))
-        self._fine = tuple(
-            Objective(p, oversampling=64, dtype=np.float64)
-            for p in (lowest, self._problem, replace(problem, objective="mse"))
-        )
-        plain = problem.response is None and all(s.edges is None for s in problem.scenarios)
-        self._mirrored = plain and all(uniform_length_px(s.trajectory) is not None for s in problem.scenarios)
-
-    def key(self, code: Codes) -> bytes:
-        """Name a code, shifted and mirrored ones alike where that changes nothing."""
-        if not self._mirrored:
-            return code.tobytes()
-        bits = np.trim_zeros(code).tobytes()
-        return min(bits, bits[::-1])
-
-    def quick(self, codes: Codes) -> FloatArray:
-        """(R, 2) minimum over coarse samples, dB, and the negative of the noise."""
-        return self._figures(self._coarse, codes)
-
-    def exact(self, codes: Codes) -> FloatArray:
-        """(R, 2) minimum, dB, and the negative of the noise; -inf for a zero."""
-        found = self._figures(self._fine[:2], codes)
-        if not self.sampled_only:
-            with np.errstate(divide="ignore"):
-                found[:, 0] = 20 * np.log10([self._minimum(ShutterCode.from_array(code)) for code in codes])
-        return found
-
-    def points(self, codes: Sequence[Codes]) -> tuple[FrontPoint, ...]:
-        """Judge codes in every figure."""
-        if not len(codes):
-            return ()
-        every = np.array(codes, dtype=np.int8)
-        mse_db = self._figures(self._fine[2:], every)[:, 0]
-        unit = 1.0 if self._problem.scenarios else float(self._problem.chips)
-        return tuple(
-            FrontPoint(ShutterCode.from_array(code), unit * 10 ** (low / 20), -quiet, int(code.sum()), -mse)
-            for code, (low, quiet), mse in zip(every, self.exact(every).tolist(), mse_db.tolist(), strict=True)
-        )
-
-    def _figures(self, objectives: Sequence[Objective], codes: Codes) -> FloatArray:
-        step = max(1, _NUMBERS // objectives[0].rows[0, 0].size)
-        parts = []
-        for batch in (codes[i : i + step] for i in range(0, len(codes), step)):
-            otf, duty = objectives[0].otf(batch), objectives[0].duty(batch)
-            parts.append(np.stack([-objective.cost(otf, duty) for objective in objectives], axis=1))
-        return np.concatenate(parts) if parts else np.empty((0, len(objectives)))
-
-    def _minimum(self, code: ShutterCode) -> float:
-        problem = self._problem
-        if not problem.scenarios:
-            return min_chip(code) / code.chips
-        return min(
-            mtf_minimum(
-                scenario.path(reversed_path=turned), code, budget=0, response=problem.response, edges=scenario.edges
-            ).upper
-            for scenario in problem.scenarios
-            for turned in ((False, True) if problem.both_directions(scenario.trajectory) else (False,))
-        )
-
-
-class _Archive:
-    """Codes of one count that no other beats."""
-
-    def __init__(self, judge: _Judge, problem: SearchProblem) -> None:
-        self.judge, self.problem = judge, problem
-        self.codes: Codes = np.empty((0, problem.chips), np.int8)
-        self.values: FloatArray = np.empty((0, 2))
-        self._first = 1 if judge.sampled_only else 0  # column from which figures count
-        self._seen: set[bytes] = set()
-        self._looked_around: set[bytes] = set()
-
-    @property
-    def counted(self) -> FloatArray:
-        return self.values[:, self._first :]
-
-    def offer(self, codes: Codes) -> None:
-        """Judge the codes that might be better on coarse samples, and keep those that are."""
-        codes = np.unique(codes[self.problem.satisfied(codes)], axis=0)
-        hopes = (self.judge.quick(codes) + _SLACK_DB)[:, self._first :]
-        while len(codes):
-            # coarse samples flatter: what is beaten even so is beaten
-            beaten = (self.counted[None] >= hopes[:, None]).all(axis=2).any(axis=1)
-            codes, hopes = codes[~beaten], hopes[~beaten]
-            chosen = np.flatnonzero(non_dominated(hopes))[:_JUDGED]
-            self._judge([code for code in codes[chosen] if self.judge.key(code) not in self._seen])
-            codes, hopes = np.delete(codes, chosen, axis=0), np.delete(hopes, chosen, axis=0)
-
-    def look_around(self, rng: np.random.Generator) -> bool:
-        """Offer all swaps of one code not looked around yet; False when there is none."""
-        code = next((c for c in self.codes if c.tobytes() not in self._looked_around), None)
-        if code is None:
-            return False
-        self._looked_around.add(code.tobytes())
-        opened, closed = np.flatnonzero(code), np.flatnonzero(code == 0)
-        pairs = np.arange(opened.size * closed.size)
-        if pairs.size > _SWAPS:
-            pairs = rng.choice(pairs, _SWAPS, replace=False)
-        swapped = np.repeat(code[None], pairs.size, axis=0)
-        if pairs.size:
-            swapped[np.arange(pairs.size), opened[pairs // closed.size]] = 0
-            swapped[np.arange(pairs.size), closed[pairs % closed.size]] = 1
-        self.offer(swapped)
-        return True
-
-    def _judge(self, codes: list[Codes]) -> None:
-        fresh = {self.judge.key(code): code for code in codes}
-        if not fresh:
-            return
-        self._seen |= fresh.keys()
-        new = np.array(list(fresh.values()))
-        values = self.judge.exact(new)
-        sound = np.isfinite(values).all(axis=1) & (values[:, 1] > -_HOPELESS_DB)
-        every, codes_then = np.concatenate([self.values, values[sound]]), np.concatenate([self.codes, new[sound]])
-        counted = np.round(every[:, self._first :] / _EQUAL_DB)
-        keep = np.flatnonzero(non_dominated(counted))
-        # of equal ones the first found
-        keep = keep[np.sort(np.unique(counted[keep], axis=0, return_index=True)[1])]
-        self.values, self.codes = every[keep], codes_then[keep]
-
-
 class _Search:
     """State of a search: an archive per count, and what is left of time and moves."""
 
@@ -375,8 +189,10 @@ class _Search:
         self._progress, self._threads = progress, threads
         self._began = time.monotonic()
         self.moves = 0
-        self.judge = _Judge(problem)
-        self.archives = {count: _Archive(self.judge, p) for count, p in problems.items()}
+        self.judge = Judge(problem)
+        self._free = np.flatnonzero([mark == "?" for mark in problem.fixed or "?" * problem.chips])
+        self._tables: dict[float, tuple[Tables, float]] = {}
+        self.archives = {count: Archive(self.judge, p) for count, p in problems.items()}
 
     def begin(self) -> None:
         """Find something for every count, from the middle outwards."""
@@ -390,20 +206,22 @@ class _Search:
             if done:
                 archive.offer(self._relit(self.archives[min(done, key=lambda k: abs(k - count))].codes, count))
             done.append(count)
-            self._settle(count)
+            self._settle(count, _FIRST_LOOKS)
 
     def rounds(self, shares: tuple[float, ...]) -> None:
-        """Anneal with every mix for every count that has an unbeaten code, longer from round to round."""
+        """Anneal with every mix for every count that is not given up, longer from round to round."""
         moves = _FIRST_MOVES
-        while self.steps is None or self.moves < self.steps:
-            counts = sorted({int(code.sum()) for code in self._unbeaten()} or self.archives)
+        while self._free.size and (self.steps is None or self.moves < self.steps):
+            counts = self._promising()
             if self.steps is not None:
-                moves = max(1, (self.steps - self.moves) // (len(counts) * len(shares)))
+                moves = min(moves, -(-(self.steps - self.moves) // (len(counts) * len(shares) * _CHAINS)))
             for count in counts:
                 for share in shares:
                     self._anneal(count, share, moves)
-                self._settle(count)
-            moves *= _GROWTH
+                self._settle(count, _LOOKS)
+            moves = min(_GROWTH * moves, _LAST_MOVES)
+        for count in self._promising():
+            self._settle(count, None)
 
     def front(self, interrupted: bool) -> Front:
         """Judge what was found in every figure."""
@@ -411,8 +229,8 @@ class _Search:
             count: tuple(sorted(self.judge.points(list(archive.codes)), key=lambda p: (p.minimum, p.code.bits)))
             for count, archive in sorted(self.archives.items())
         }
-        unbeaten = {code.tobytes() for code in self._unbeaten()}
-        points = tuple(p for curve in curves.values() for p in curve if p.code.array.astype(np.int8).tobytes() in unbeaten)
+        unbeaten = {ShutterCode.from_array(code).bits for code in self._unbeaten()}
+        points = tuple(p for curve in curves.values() for p in curve if p.code.bits in unbeaten)
         unit = "light-true" if self.problem.scenarios else "chips"
         return Front(
             points,
@@ -428,44 +246,63 @@ class _Search:
         codes = np.concatenate([archive.codes for archive in self.archives.values()])
         counted = np.concatenate([archive.counted for archive in self.archives.values()])
         light = codes.sum(axis=1, dtype=np.float64)
-        return np.asarray(codes[non_dominated(np.column_stack([np.round(counted / _EQUAL_DB), light]))])
+        return np.asarray(codes[non_dominated(np.column_stack([np.round(counted / EQUAL_DB), light]))])
 
-    def _settle(self, count: int) -> None:
-        """Look around every code of the count until all swaps are known."""
-        more = True
-        while more:
+    def _promising(self) -> list[int]:
+        """List the counts whose codes are not beaten by far."""
+        light = np.concatenate([np.full(len(archive.values), count) for count, archive in self.archives.items()])
+        table = np.column_stack([np.concatenate([archive.counted for archive in self.archives.values()]), light])
+        leeway = np.append(_LEEWAY_DB[-(table.shape[1] - 1) :], 0.0)
+        far_beaten = (table[None] >= (table + leeway)[:, None]).all(axis=2).any(axis=1)
+        return sorted({int(count) for count in light[~far_beaten]} or self.archives)
+
+    def _settle(self, count: int, looks: int | None) -> None:
+        """Look around the count's codes, until all swaps are known or so many codes have been looked around."""
+        done, more = 0, True
+        while more and (looks is None or done < looks):
             self._tick(f"{count} open")
             more = self.archives[count].look_around(self.rng)
+            done += 1
 
     def _anneal(self, count: int, share: float, moves: int) -> None:
-        mix = tuple((name, weight) for name, weight in (("min-mtf", 1 - share), ("noise", share)) if weight > 0)
-        archive, seen = self.archives[count], list[Codes]()
+        """Run chains from the count's codes, from neighbours' and from anywhere, and offer whatever they found."""
+        archive, found = self.archives[count], list[Codes]()
         near = sorted((k for k in self.archives if k != count), key=lambda k: (abs(k - count), k))[:2]
-        start = [*archive.codes, *(code for k in near for code in self._relit(self.archives[k].codes, count, variants=2))]
-        before = self.moves
+        relit = [self._relit(self.archives[k].codes, count, variants=1) for k in near]
+        drawn = archive.problem.random_codes(_CHAINS, rng=self.rng).astype(np.int8)
+        pool = np.concatenate([archive.codes, *relit])
+        pool = pool[archive.problem.satisfied(pool)]
+        good = self.rng.permutation(pool)[: _CHAINS // 4]
+        starts = np.concatenate([good, drawn])
+        tables, hot = self._tables_of(share)
+        seeds = [int(seed) for seed in self.rng.integers(1, 2**62, _CHAINS)]
+        walks = 0 if has_run_limits(archive.problem) or self.problem.chips**2 // 4 > _MOST_SWAPS else _CHAINS // 2
+        plans: list[Cooling | Walks] = [
+            Cooling(code, hot * (_REHEATED if place < len(good) else 1), hot / _COOLING, moves, seed)
+            for place, (code, seed) in enumerate(zip(starts, seeds[walks:], strict=False))
+        ]
+        plans += [Walks(pool if len(pool) else drawn, moves, seed) for seed in seeds[:walks]]
 
-        def note(fraction: float, best: ShutterCode) -> None:
-            self.moves = before + int(fraction * moves)
-            seen.append(best.array.astype(np.int8))
+        def tick(made: int) -> bool:
+            self.moves += made
             self._tick(f"{count} open")
+            return True
 
-        left = self.time_s - (time.monotonic() - self._began)
-        found = anneal(
-            replace(archive.problem, objective=mix),
-            rng=self.rng,
-            steps=moves,
-            time_s=max(left, 1e-3),
-            start=[ShutterCode.from_array(code) for code in start],
-            progress=note,
-            threads=self._threads,
-        )
-        self.moves = before + found.steps
-        archive.offer(np.array([*seen, found.code.array], dtype=np.int8))
-        if found.interrupted:
-            raise _TimeIsUp if time.monotonic() - self._began >= self.time_s else KeyboardInterrupt
+        try:
+            Crew(archive.problem, tables, self._free, threads=self._threads).run(plans, tick, found.append)
+        finally:
+            archive.offer(np.concatenate([*found, archive.codes[:0]]))
+
+    def _tables_of(self, share: float) -> tuple[Tables, float]:
+        """Lay out a mix for the compiled loops, once, and say how hot its chains begin, dB."""
+        if share not in self._tables:
+            mix = tuple((name, weight) for name, weight in (("min-mtf", 1 - share), ("noise", share)) if weight > 0)
+            tables = lay_out(Objective(replace(self.problem, objective=mix), oversampling=_OVERSAMPLING))
+            self._tables[share] = (tables, sum(weight * _HOT_DB[name] for name, weight in mix))
+        return self._tables[share]
 
     def _relit(self, codes: Codes, count: int, *, variants: int = _VARIANTS) -> Codes:
-        """Copies of codes with chips opened or closed at random until ``count`` are open."""
+        """Copy codes with chips opened or closed at random until ``count`` are open."""
         copies = np.repeat(codes, variants, axis=0)
         # chips in a random order, open ones first: the first are those that end up open
         order = np.argsort(self.rng.random(copies.shape) - copies, axis=1)

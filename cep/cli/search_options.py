@@ -1,0 +1,160 @@
+"""Options of ``cep optimize`` that say what to search for, and the problem that they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from cep.camera import Camera
+    from cep.search.problem import Scenario, SearchProblem
+    from hw.device import DeviceProfile
+    from motdiff.files import StoredMotion
+
+__all__ = ["DIRECTIONS", "Wish", "on_the_circle", "open_limits", "problem_of"]
+
+DIRECTIONS = ("auto", "unknown", "forward")
+_SPEEDS = 5
+_JITTERS = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wish:
+    """The options as they were given; see the command's help."""
+
+    chips: int
+    chip_ns: int
+    open_chips: str | None
+    duty: str | None
+    objective: str | None
+    direction: str
+    min_open: int
+    min_closed: int
+    max_pulses: int | None
+    first_open: bool
+    last_open: bool
+    fixed: str | None
+    alternatives: bool
+    speed: str | None
+    drift: float | None
+    jitter: float | None
+    rule: str
+
+
+def problem_of(
+    wish: Wish, stored: StoredMotion, *, camera: Camera, profile: DeviceProfile | None, rng: np.random.Generator
+) -> SearchProblem:
+    """Make the search problem that the options describe.
+
+    Raises
+    ------
+    ValueError
+        If an option is malformed or they conflict; the line says which.
+    """
+    from cep.band import uniform_length_px
+    from cep.design import limits_of_device, response_of_device
+    from cep.search.problem import SearchProblem
+
+    if wish.direction not in DIRECTIONS:
+        raise ValueError(f"--direction: must be one of {', '.join(DIRECTIONS)}, got {wish.direction!r}")
+    low, high = open_limits(wish.chips, wish.open_chips, wish.duty)
+    device: dict[str, Any] = {"min_open": 1, "min_closed": 1, "max_pulses": None, "max_open": None}
+    if profile is not None:
+        device |= limits_of_device(profile, chips=wish.chips, chip_ns=wish.chip_ns)
+    most = device["max_open"]
+    if most is not None:
+        if most < low:
+            raise ValueError(
+                f"{profile.name if profile else ''}: at most {most} of {wish.chips} chips may be open, "
+                f"at least {low} were asked for"
+            )
+        high = min(high, most)
+    straight = uniform_length_px(stored.trajectory) is not None
+    return SearchProblem(
+        chips=wish.chips,
+        scenarios=_scenarios(wish, stored, rng),
+        open_range=(low, high),
+        objective=wish.objective or ("min-mtf" if straight else "mse"),
+        direction=wish.direction,  # type: ignore[arg-type]
+        rule=wish.rule,  # type: ignore[arg-type]
+        min_open=max(wish.min_open, device["min_open"]),
+        min_closed=max(wish.min_closed, device["min_closed"]),
+        max_pulses=min((v for v in (wish.max_pulses, device["max_pulses"]) if v is not None), default=None),
+        camera=camera,
+        fixed=_mask(wish),
+        response=None if profile is None else response_of_device(profile, wish.chip_ns),
+    )
+
+
+def on_the_circle(problem: SearchProblem) -> bool:
+    """Whether only the code's polynomial matters: one straight uniform motion, chips on time, a shutter without ramps.
+
+    Its zeros from the chip itself are no fault of the code.
+    """
+    from cep.band import uniform_length_px
+
+    if len(problem.scenarios) != 1 or problem.response is not None:
+        return False
+    scenario = problem.scenarios[0]
+    return scenario.edges is None and uniform_length_px(scenario.trajectory) is not None
+
+
+def open_limits(chips: int, open_chips: str | None, duty: str | None) -> tuple[int, int]:
+    """Fewest and most open chips of ``--open`` or ``--duty``."""
+    from cep.search.problem import open_range_of_duty
+
+    if open_chips is not None and duty is not None:
+        raise ValueError("--open and --duty: give one of them")
+    if duty is not None:
+        return open_range_of_duty(chips, *_numbers("--duty", duty, "0.4:0.6"))
+    if open_chips is None:
+        return 1, chips
+    low, _, high = open_chips.partition(":")
+    try:
+        least, most = int(low), int(high or low)
+    except ValueError:
+        raise ValueError(f"--open: must be K or LOW:HIGH in whole chips, got {open_chips!r}") from None
+    if not 1 <= least <= most <= chips:
+        raise ValueError(f"--open: must lie within 1..{chips}, got {open_chips}")
+    return least, most
+
+
+def _scenarios(wish: Wish, stored: StoredMotion, rng: np.random.Generator) -> tuple[Scenario, ...]:
+    from cep.search.scenarios import Scenario, alternatives, drifted, jittered, speed_range
+
+    made = alternatives(stored) if wish.alternatives else (Scenario(stored.trajectory),)
+    if wish.speed is not None:
+        low, high = _numbers("--speed", wish.speed, "0.8:1.2")
+        made = speed_range(made, low, high, _SPEEDS if low < high else 1)
+    if wish.drift is not None:
+        made = drifted(made, wish.chips, (-abs(wish.drift), 0.0, abs(wish.drift)))
+    if wish.jitter is not None:
+        made = jittered(made, wish.chips, wish.jitter, _JITTERS, rng=rng)
+    return made
+
+
+def _mask(wish: Wish) -> str | None:
+    from cep.search.limits import fixed_mask
+
+    if wish.fixed is None and not (wish.first_open or wish.last_open):
+        return None
+    marks = wish.fixed or "?" * wish.chips
+    if len(marks) != wish.chips or set(marks) - set("01?"):
+        raise ValueError(f"--fixed: must be {wish.chips} characters of 1, 0 and ?, got {wish.fixed!r}")
+    return fixed_mask(
+        wish.chips,
+        first_open=wish.first_open,
+        last_open=wish.last_open,
+        forced_open=[place for place, mark in enumerate(marks) if mark == "1"],
+        forced_closed=[place for place, mark in enumerate(marks) if mark == "0"],
+    )
+
+
+def _numbers(name: str, text: str, example: str) -> tuple[float, float]:
+    low, _, high = text.partition(":")
+    try:
+        return float(low), float(high or low)
+    except ValueError:
+        raise ValueError(f"{name}: must be LOW:HIGH as {example}, got {text!r}") from None
