@@ -18,7 +18,7 @@ from motdiff.trajectory import Trajectory
 __all__ = ["BaselineRow", "compare"]
 
 _RANDOM_CODES = 15
-_LENGTH_ONLY_MOVES = 20_000
+_LENGTH_ONLY_MOVES = 200_000
 _LENGTHS, _STARTS = 32, 16  # snapshots looked at before the best one is moved chip by chip
 _BATCH = 2**21  # numbers evaluated at once: 16 MB
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from cep.cli import calibrate, code, deblur, demo, hardware, optimize, simulate
+from cep.cli import calibrate, code, deblur, demo, hardware, optimize, pareto, simulate
 from cep.cli.console import FAILURE, INTERRUPTED, complain, explain
 
 __all__ = ["app", "main", "run"]
@@ -37,6 +37,7 @@ def _root(
 
 app.command("calibrate")(calibrate.calibrate)
 app.command("optimize")(optimize.optimize)
+app.command("pareto")(pareto.pareto)
 app.command("audit")(code.audit)
 app.command("mtf")(code.mtf)
 app.command("simulate")(simulate.simulate)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.band import straight_axis
 from cep.code import ShutterCode
 from cep.mtf import CodeMetrics
 from cep.search.chains import Cooling, Crew, Walks
@@ -25,7 +26,7 @@ _SEARCH_OVERSAMPLING = 8  # coarse: the polish judges on 64 and the continuum
 _HOT_DB = {"min-mtf": 0.8, "noise": 0.3, "flatness": 0.1, "mse": 0.1}  # as their single moves differ: docs/decisions.md
 _COOLING = 3.0  # hottest over coldest
 _CHAINS = 8  # of a round: enough for most machines' cores, and the outcome must not depend on their number
-_FRESH = 2  # chains of later rounds that cool from anywhere; of the others half start from the best codes, cooler
+_WALKS_STRAIGHT, _WALKS_CURVED = 6, 2  # chains of later rounds that walk instead
 _MOST_SWAPS = 2**14  # of a code whose every neighbour can be looked at in each step
 _REHEATED = 0.6
 _SHORTEST, _LONGEST = 2**15, 2**21  # moves of a chain in the first and the last rounds
@@ -172,11 +173,11 @@ def anneal(
 
     try:
         if free.size:
-            crew = Crew(problem, lay_out(coarse), free, threads=threads)
+            crews = _crews(problem, coarse, free, threads)
             round_number = 0
             while budget.left():
                 plans = _plans(problem, elites, budget.chain(round_number), rng, first=round_number == 0)
-                crew.run(plans, tick, elites.offer)
+                crews[round_number % len(crews)].run(plans, tick, elites.offer)
                 round_number += 1
             interrupted = steps is not None and budget.done < steps
     except KeyboardInterrupt:
@@ -196,16 +197,28 @@ def standard_moves(problem: SearchProblem) -> int:
     return int(np.clip(_STANDARD_WORK // columns, 2**20, 2**25))
 
 
+def _crews(problem: SearchProblem, coarse: Objective, free: NDArray[np.intp], threads: int | None) -> list[Crew]:
+    """Return a crew for the objective; of a mix also one for each part, which judges a move many times as fast."""
+    parts = [replace(problem, objective=name) for name, _ in problem.objective_mix]
+    if len(parts) == 1:
+        return [Crew(problem, lay_out(coarse), free, threads=threads)]
+    objectives = [coarse, *(Objective(part, oversampling=_SEARCH_OVERSAMPLING) for part in parts)]
+    return [Crew(one.problem, lay_out(one), free, threads=threads) for one in objectives]
+
+
 def _plans(
     problem: SearchProblem, elites: _Elites, moves: int, rng: np.random.Generator, *, first: bool
 ) -> list[Cooling | Walks]:
-    """Plan a round: chains that cool from everything given, from the best and from anywhere, the other half walks."""
+    """Plan a round: chains that cool from everything given, from the best and from anywhere, others that walk."""
     hot = sum(weight * _HOT_DB[name] for name, weight in problem.objective_mix)
-    walks = 0 if first or has_run_limits(problem) or problem.chips**2 // 4 > _MOST_SWAPS else _CHAINS // 2
+    walks = 0
+    if not (first or has_run_limits(problem) or problem.chips**2 // 4 > _MOST_SWAPS):
+        straight = all(straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios)
+        walks = _WALKS_STRAIGHT if straight else _WALKS_CURVED
     cooled = _CHAINS - walks
     codes = problem.random_codes(cooled, rng=rng).astype(np.int8)
     best = elites.ranked()
-    kept = min(len(best), cooled if first else cooled - _FRESH)
+    kept = min(len(best), cooled if first else cooled // 2)
     codes[:kept] = best[:kept]
     seeds = [int(seed) for seed in rng.integers(1, 2**62, _CHAINS)]
     heats = [hot if first or index >= kept else _REHEATED * hot for index in range(cooled)]

@@ -3,89 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cep.band import straight_axis, uniform_length_px
 from cep.code import ShutterCode
 from cep.minimum import min_chip, mtf_minimum
 from cep.mtf import HOPELESS_DB
+from cep.search.front import FrontPoint, non_dominated
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
-__all__ = ["EQUAL_DB", "Archive", "FrontPoint", "Judge", "non_dominated"]
+__all__ = ["EQUAL_DB", "Archive", "Judge"]
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Codes = NDArray[np.int8]
 
 EQUAL_DB = 1e-7
 """Figures as close are equal: those of a code and its mirror image agree only up to rounding."""
 
 _SLACK_DB = np.array([1e-3, 0.05])  # what coarse samples may make of the minimum, in float32, and of the noise
+_SAMPLES = 1024  # of coarse ones on the unit circle, or 8 a chip
 _JUDGED = 32  # codes at once
 _SWAPS = 4096  # neighbours of a code that are looked at
 _NUMBERS = 2**22  # evaluated at once: 16 MB
-
-
-@dataclass(frozen=True)
-class FrontPoint:
-    """A code and its figures, each the worst over the problem's motions and directions.
-
-    Attributes
-    ----------
-    code : ShutterCode
-    minimum : float
-        Smallest |H|, or |P| in chips; see :attr:`Front.unit`.
-    noise_db : float
-        ``10 log10 mean 1/|H|^2``, light-true.
-    open_chips : int
-    mse_db : float
-        ``10 log10`` of the Wiener restoration's mean square error under the problem's camera.
-    """
-
-    code: ShutterCode
-    minimum: float
-    noise_db: float
-    open_chips: int
-    mse_db: float
-
-
-def non_dominated(values: ArrayLike) -> BoolArray:
-    """Tell which rows no other row beats: none is at least as good in every column and better in one.
-
-    Parameters
-    ----------
-    values : (R, C) array_like
-        Larger is better in every column.
-
-    Returns
-    -------
-    (R,) bool ndarray
-        Equal rows share their fate.
-
-    Raises
-    ------
-    ValueError
-        If the array has another shape, or a NaN in it.
-
-    Examples
-    --------
-    >>> non_dominated([[1, 5], [2, 4], [2, 3], [1, 5]]).tolist()
-    [True, True, False, True]
-    """
-    table = np.asarray(values, dtype=np.float64)
-    if table.ndim != 2 or np.isnan(table).any():
-        raise ValueError(f"values: must be a table of numbers (R, C) without NaN, got shape {table.shape}")
-    rows, place = np.unique(table, axis=0, return_inverse=True)
-    keep = np.ones(len(rows), dtype=np.bool_)
-    for index in range(len(rows) - 1, -1, -1):
-        # rows ascend: only later ones can beat this one, and they are settled
-        if keep[index]:
-            keep[:index] &= (rows[:index] > rows[index]).any(axis=1)
-    return np.asarray(keep[place.reshape(-1)])
 
 
 class Judge:
@@ -105,7 +48,8 @@ class Judge:
         self._problem = replace(problem, objective="noise")
         lowest = replace(problem, objective="min-mtf")
         self.sampled_only = any(straight_axis(s.trajectory) is None for s in problem.scenarios)
-        self._coarse = tuple(Objective(p, oversampling=8) for p in (lowest, self._problem))
+        coarse = int(np.clip(_SAMPLES // problem.chips, 8, 64))
+        self._coarse = tuple(Objective(p, oversampling=coarse) for p in (lowest, self._problem))
         self._fine = tuple(
             Objective(p, oversampling=64, dtype=np.float64)
             for p in (lowest, self._problem, replace(problem, objective="mse"))
@@ -140,7 +84,13 @@ class Judge:
         mse_db = self._figures(self._fine[2:], every)[:, 0]
         unit = 1.0 if self._problem.scenarios else float(self._problem.chips)
         return tuple(
-            FrontPoint(ShutterCode.from_array(code), unit * 10 ** (low / 20), -quiet, int(code.sum()), -mse)
+            FrontPoint(
+                ShutterCode.from_array(code),
+                unit * 10 ** (low / 20),
+                -quiet if np.isfinite(low) else np.inf,  # samples may well miss a zero, the mean over all does not
+                int(code.sum()),
+                -mse,
+            )
             for code, (low, quiet), mse in zip(every, self.exact(every).tolist(), mse_db.tolist(), strict=True)
         )
 

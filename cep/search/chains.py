@@ -23,9 +23,10 @@ __all__ = ["Cooling", "Crew", "Walks"]
 Codes = NDArray[np.int8]
 _COOL_SLICE, _WALK_SLICE = 4096, 16  # moves and steps until the OTF is summed anew and its frequencies sorted
 _TICK_S = 0.1  # between two looks of the caller
-_PATIENCE = 64  # steps without a better code before a walk ends
+_PATIENCE = 32  # steps without a better code before a walk ends
+_KEPT = 64  # walks of a chain whose ends are offered: another objective may judge them
 _KICK = (3, 9)  # swaps that start a walk from one of the best
-_FRESH = 0.3  # share of walks that start from a random code
+_FRESH = 0.8  # share of walks that start from a random code: docs/decisions.md
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ class Crew:
                 judged = walk(tables, self._limits, chain, self._free, work, held, step, _WALK_SLICE)
                 step, done = step + _WALK_SLICE, done + judged
                 since = 0 if chain.cost[1] < before else since + _WALK_SLICE
-                now = sorted([*kept, (float(chain.cost[1]), _found(chain))], key=lambda entry: entry[0])[:4]
+                now = sorted([*kept, (float(chain.cost[1]), _found(chain))], key=lambda entry: entry[0])[:_KEPT]
                 yield judged, np.concatenate([codes for _, codes in now])
                 if not judged:
                     return

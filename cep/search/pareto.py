@@ -14,15 +14,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cep.baselines.published import for_chips
 from cep.code import ShutterCode
-from cep.search.archive import EQUAL_DB, Archive, FrontPoint, Judge, non_dominated
+from cep.search.archive import EQUAL_DB, Archive, Judge
 from cep.search.chains import Cooling, Crew, Walks
+from cep.search.front import Front, FrontPoint, knees, non_dominated
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.tables import has_run_limits, lay_out
@@ -46,43 +47,6 @@ _COOLING, _REHEATED = 3.0, 0.6  # hottest over coldest; chains that start from g
 _MOST_SWAPS = 2**14  # of a code that walks can serve
 _CHAINS = 4
 _FIRST_MOVES, _LAST_MOVES, _GROWTH = 2**15, 2**20, 4  # of a chain in the first rounds and the last
-
-
-@dataclass(frozen=True)
-class Front:
-    """Codes that no code found beats; those with a zero, or noise above 100 dB, are left out.
-
-    Attributes
-    ----------
-    points : tuple of FrontPoint
-        Not beaten by any code found, darkest first, then by minimum.
-    curves : mapping of int to tuple of FrontPoint
-        For every number of open chips the codes not beaten by others of the same light, by minimum.
-    unit : {"chips", "light-true", "light-true, sampled"}
-        Of the minimum. In chips: of |P| over the whole unit circle. Light-true: of |H| over the band's continuum.
-        Sampled: along a curved path nearly every code has true zeros between the samples, so that the minimum over
-        the continuum tells codes apart no more. The one over the samples is shown, but the front is over noise and
-        light alone.
-    problem : SearchProblem
-    seconds : float
-    steps : int
-        Moves tried by the annealing.
-    interrupted : bool
-        Whether Ctrl-C ended it, or the time limit a search that was asked for so many steps.
-    """
-
-    points: tuple[FrontPoint, ...]
-    curves: Mapping[int, tuple[FrontPoint, ...]]
-    unit: str
-    problem: SearchProblem
-    seconds: float
-    steps: int
-    interrupted: bool
-
-    @property
-    def sampled(self) -> bool:
-        """Whether minima are over samples, and do not count."""
-        return self.unit == "light-true, sampled"
 
 
 def pareto_front(
@@ -145,27 +109,6 @@ def pareto_front(
 def front_points(problem: SearchProblem, codes: Iterable[ShutterCode]) -> tuple[FrontPoint, ...]:
     """Judge codes as a front's are, whether or not they keep the problem's limits."""
     return Judge(problem).points([code.array.astype(np.int8) for code in codes])
-
-
-def knees(front: Front) -> dict[str, FrontPoint]:
-    """Pick out the best minimum, the least noise, the most light, and the best compromise.
-
-    The compromise loses the fewest decibels in all against the best of each: 20 log10 of the minimum, the noise, and 10
-    log10 of the light. Where the minimum is a sampled one, it does not count.
-    """
-    if not front.points:
-        return {}
-
-    def worth(point: FrontPoint) -> float:
-        minimum_db = 0.0 if front.sampled else 20 * float(np.log10(point.minimum))
-        return minimum_db - point.noise_db + 10 * float(np.log10(point.open_chips))
-
-    picked = {"best minimum": max(front.points, key=lambda p: (p.minimum, -p.noise_db))} if not front.sampled else {}
-    return picked | {
-        "least noise": min(front.points, key=lambda p: (p.noise_db, -p.open_chips)),
-        "compromise": max(front.points, key=worth),
-        "most light": max(front.points, key=lambda p: (p.open_chips, worth(p))),
-    }
 
 
 class _TimeIsUp(Exception):  # noqa: N818 - no error

@@ -1,0 +1,206 @@
+"""``cep pareto``: what minimum, noise and light codes can have together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cep.cli.console import finish, progress, table
+from cep.cli.options import (
+    CameraFile,
+    Force,
+    Json,
+    Linear,
+    Photons,
+    ReadNoise,
+    Seed,
+    TrajectoryFile,
+    load_camera,
+    load_motion,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from cep.search.front import Front, FrontPoint
+
+__all__ = ["FRONT_SCHEMA", "pareto"]
+
+FRONT_SCHEMA = "cep.front/1"
+
+_FIGURES = (".png", ".pdf", ".svg")
+
+
+def pareto(
+    trajectory: TrajectoryFile = None,
+    linear: Linear = None,
+    chips: Annotated[int, typer.Option("--chips", "-n", min=2, help="Number of chips.")] = 52,
+    open_chips: Annotated[str | None, typer.Option("--open", help="Open chips: K, or LOW:HIGH.")] = None,
+    duty: Annotated[str | None, typer.Option("--duty", help="Open fraction of the time, LOW:HIGH, 0..1.")] = None,
+    direction: Annotated[
+        str, typer.Option("--direction", help="unknown (both ways count), forward, or auto: as the file says.")
+    ] = "auto",
+    min_open: Annotated[int, typer.Option("--min-open", min=1, help="Shortest open run, chips.")] = 1,
+    min_closed: Annotated[int, typer.Option("--min-closed", min=1, help="Shortest closed run, chips.")] = 1,
+    max_pulses: Annotated[int | None, typer.Option("--max-pulses", min=1, help="Most open runs.")] = None,
+    chip_ns: Annotated[int, typer.Option("--chip-ns", min=1, help="Chip time, ns.")] = 1_000_000,
+    camera: CameraFile = None,
+    photons: Photons = None,
+    read_noise: ReadNoise = None,
+    time_s: Annotated[float, typer.Option("--time", help="Time limit of the search, s.")] = 60.0,
+    steps: Annotated[
+        int | None,
+        typer.Option("--steps", min=0, help="Moves to try; the same seed and moves give the same front. Until --time."),
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")] = Path("front.json"),
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="Figure to write: .png, .pdf or .svg. Named as the output, .png.")
+    ] = None,
+    force: Force = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Search the codes that no other beats in minimum, noise and light together; Ctrl-C keeps what is found so far.
+
+    A code is beaten when another is at least as good in all three and better in one: its smallest |H|, larger is
+    better; its noise gain, 10 log10 mean 1/|H|^2, smaller is better; its open chips, more is better. Codes with a zero
+    are left out. Both figures are light-true: a darker code pays for its lost light.
+
+    Without a motion the front is for straight motion at any speed: the minimum is that of |P| over the whole unit
+    circle, in chips, and the noise that of P alone, without the blur within a chip. Along a straight motion the
+    minimum is over the band's continuum, and both include that blur. Along a curved path nearly every code has true
+    zeros at single frequencies: the front is then over noise and light alone, noise and minimum are those over the
+    samples, and the minimum, which proves nothing, is shown for comparison.
+
+    Example: cep pareto --chips 52 --open 22:40 --time 60 -o front.json --plot front.png
+    """
+    import numpy as np
+
+    from cep.baselines.published import for_chips
+    from cep.cli.search_options import DIRECTIONS, open_limits
+    from cep.files import json_text
+    from cep.outputs import claim, write_text
+    from cep.plots.canvas import save
+    from cep.plots.pareto import pareto_figure
+    from cep.search.front import knees
+    from cep.search.pareto import front_points, pareto_front
+    from cep.search.problem import SearchProblem
+
+    if direction not in DIRECTIONS:
+        raise ValueError(f"--direction: must be one of {', '.join(DIRECTIONS)}, got {direction!r}")
+    picture = plot or output.with_suffix(".png")
+    if picture.suffix.lower() not in _FIGURES:
+        raise ValueError(f"--plot: must end in {', '.join(_FIGURES[:-1])} or {_FIGURES[-1]}, got {picture}")
+    if picture == output:
+        raise ValueError(f"--plot: must be another file than the output, got {picture}")
+    problem = SearchProblem(
+        chips=chips,
+        scenarios=_scenarios(trajectory, linear, chips),
+        open_range=open_limits(chips, open_chips, duty),
+        direction=direction,  # type: ignore[arg-type]
+        min_open=min_open,
+        min_closed=min_closed,
+        max_pulses=max_pulses,
+        camera=load_camera(camera, photons=photons, read_noise=read_noise),
+    )
+    claim([output, picture], force=force)
+    with progress("searching") as tick:
+        front = pareto_front(problem, rng=np.random.default_rng(seed), steps=steps, time_s=time_s, progress=tick)
+    if not front.points:
+        raise ValueError("--open: every code found of so many open chips has a zero, allow others or search longer")
+    entries = for_chips(chips)
+    published = dict(zip((e.name for e in entries), front_points(problem, (e.code for e in entries)), strict=True))
+    document = {
+        "schema": FRONT_SCHEMA,
+        "unit": front.unit,
+        "chip_ns": chip_ns,
+        "points": [_figures(point) for point in front.points],
+        "knees": {name: _figures(point) for name, point in knees(front).items()},
+        "curves": {count: [_figures(point) for point in curve] for count, curve in front.curves.items() if curve},
+        "published": {name: _figures(point) for name, point in published.items()},
+        "problem": {
+            "trajectory": trajectory,
+            "linear_px": linear,
+            "chips": chips,
+            "open_range": problem.open_limits,
+            "direction": direction,
+            "min_open": min_open,
+            "min_closed": min_closed,
+            "max_pulses": max_pulses,
+            "camera": problem.camera.to_dict(),
+            "steps": front.steps,
+            "seed": seed,
+        },
+    }
+    write_text(output, json_text(document))
+    save(pareto_figure(front, published), picture)
+    warnings = ["the search was stopped early, this is the front so far"] if front.interrupted else []
+    if front.sampled:
+        warnings.append("along a curved path minima over samples prove nothing: the front is over noise and light")
+    result = {
+        "file": output,
+        "plot": picture,
+        **{name: document[name] for name in ("unit", "points", "knees", "published")},
+        "seconds": front.seconds,
+        "steps": front.steps,
+        "interrupted": front.interrupted,
+        "seed": seed,
+        "warnings": warnings,
+    }
+    finish(result, as_json=as_json, show=lambda console: _show(console, front, published, output, picture))
+
+
+def _show(console: Console, front: Front, published: dict[str, FrontPoint], output: Path, picture: Path) -> None:
+    from cep.mtf import HOPELESS_DB
+    from cep.search.front import knees
+
+    console.print(f"{output}, {picture}: {len(front.points)} codes that none found beats, {front.seconds:.1f} s")
+    least = {"chips": "min |P|, chips", "light-true": "min MTF"}.get(front.unit, "min MTF, sampled")
+    named = knees(front)
+    rows = [
+        (
+            name,
+            point.open_chips,
+            point.minimum,
+            point.noise_db if point.noise_db <= HOPELESS_DB else f"> {HOPELESS_DB:.0f}",
+            point.mse_db,
+        )
+        for name, point in (*named.items(), *((f"published: {name}", point) for name, point in published.items()))
+    ]
+    columns = ("code", "open", least, "noise gain, dB", "MSE, dB")
+    console.print(table(f"{front.problem.chips} chips", columns, rows))
+    for name, point in named.items():
+        console.print(f"{name}: {point.code.bits}")
+
+
+def _figures(point: FrontPoint) -> dict[str, Any]:
+    """Return a point as JSON has it; the noise of a code with a zero is null."""
+    import math
+
+    from cep.mtf import HOPELESS_DB
+
+    code = point.code
+    noise_db = point.noise_db if point.noise_db <= HOPELESS_DB else math.inf
+    return {
+        "bits": code.bits,
+        "open": point.open_chips,
+        "duty": code.duty,
+        "minimum": point.minimum,
+        "noise_gain_db": noise_db,
+        "dnf_db": noise_db + 20 * math.log10(code.duty),
+        "mse_db": point.mse_db,
+    }
+
+
+def _scenarios(trajectory: Path | None, linear: float | None, chips: int) -> tuple[Any, ...]:
+    from cep.design import check_frame, check_resolved
+    from cep.search.problem import Scenario
+
+    if trajectory is None and linear is None:
+        return ()
+    motion = load_motion(trajectory, linear).trajectory
+    check_frame(motion)
+    check_resolved(motion, chips)
+    return (Scenario(motion),)
