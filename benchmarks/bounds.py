@@ -14,11 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from cep.search.anneal import anneal
-from cep.search.bounds import bound, relaxed_minimum
+from cep.search.annealing.anneal import anneal
+from cep.search.bounding.bounds import bound, relaxed_minimum
+from cep.search.bounding.relaxation import rounded_codes
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
-from cep.search.relaxation import rounded_codes
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 

@@ -23,7 +23,7 @@ from cep.camera import Camera, capture, visible
 from cep.code import ShutterCode
 from cep.exposure import coded_psf
 from cep.restore import compare_psfs, wiener
-from cep.search.anneal import anneal
+from cep.search.annealing.anneal import anneal
 from cep.search.problem import SearchProblem, open_range_of_duty
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
 from motdiff.motions import boracchi_foi

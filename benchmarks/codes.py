@@ -15,11 +15,11 @@ import time
 import numpy as np
 
 from cep.baselines.published import CLAIMS, for_chips, names, published
-from cep.certificate import certify
+from cep.certify.certificate import certify
+from cep.certify.minimum import chip_minimum
 from cep.code import ShutterCode
-from cep.minimum import chip_minimum
 from cep.mtf import chip_noise_db, measure
-from cep.verify import verify
+from cep.verify.certificates import verify
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -100,8 +100,8 @@ def random_code(rng: np.random.Generator, chips: int) -> ShutterCode:
 
 
 def straight(seconds: float) -> None:
-    from cep.search.anneal import anneal
-    from cep.search.bounds import bound
+    from cep.search.annealing.anneal import anneal
+    from cep.search.bounding.bounds import bound
     from cep.search.problem import SearchProblem
 
     print(f"\nAnnealing at n = 52, k = 26 on the unit circle, {seconds:g} s each, one core")
@@ -117,7 +117,7 @@ def straight(seconds: float) -> None:
 
 
 def curved(seconds: float, motions: int) -> None:
-    from cep.search.anneal import anneal
+    from cep.search.annealing.anneal import anneal
     from cep.search.problem import SearchProblem
 
     print(f"\nCurved paths (Boracchi-Foi, 60 px), 52 chips, {seconds:g} s a search; noise gain dB, light-true (DC)")

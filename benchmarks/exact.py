@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import time
 
-from cep.search.exact import ExactResult, exact
+from cep.search.exhaustive.exact import ExactResult, exact
 from cep.search.problem import SearchProblem
 
 

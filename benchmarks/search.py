@@ -19,11 +19,11 @@ from dataclasses import replace
 import numpy as np
 
 from cep.baselines.published import PUBLISHED
+from cep.certify.minimum import min_chip
 from cep.code import ShutterCode
-from cep.minimum import min_chip
 from cep.mtf import chip_noise_db, measure
-from cep.search.anneal import anneal
-from cep.search.exact import codes_to_count, exact
+from cep.search.annealing.anneal import anneal
+from cep.search.exhaustive.exact import codes_to_count, exact
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from motdiff.motions import boracchi_foi
@@ -54,9 +54,8 @@ def frontier(seconds: float, seed: int) -> None:
 
 
 def jeon(seconds: float, seed: int) -> None:
-    print(
-        "| code | open | its min P | its noise, dB | our min P | our noise, dB | better | s |\n|---|---|---|---|---|---|---|---|"
-    )
+    print("| code | open | its min P | its noise, dB | our min P | our noise, dB | better | s |")
+    print("|---|---|---|---|---|---|---|---|")
     wins = 0
     names = sorted((name for name in PUBLISHED if name.startswith("jeon")), key=lambda name: PUBLISHED[name].chips)
     for name in names:
@@ -99,8 +98,8 @@ def proven(seconds: float, seed: int) -> None:
 
 def speed(seconds: float, seed: int) -> None:
     del seconds
-    from cep.search.chains import Cooling, Crew
-    from cep.search.tables import lay_out
+    from cep.search.annealing.chains import Cooling, Crew
+    from cep.search.annealing.tables import lay_out
 
     path = boracchi_foi(np.random.default_rng(seed))
     problem = SearchProblem.along(path, chips=52, objective="noise", direction="forward")

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.band import band, band_samples
-from cep.certificate import certify
+from cep.certify.certificate import certify
+from cep.certify.minimum import Minimum, min_chip, mtf_minimum
+from cep.certify.zeros import Zeros, zeros_along, zeros_of_code
 from cep.code import ShutterCode
 from cep.compiled import compiled
 from cep.exposure import chip_basis, coded_otf
-from cep.minimum import Minimum, min_chip, mtf_minimum
-from cep.zeros import Zeros, zeros_along, zeros_of_code
 from motdiff.trajectory import Trajectory
 
 __all__ = [

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from cep.band import BandSamples, band, band_samples, uniform_length_px
 from cep.camera import Camera
+from cep.certify.minimum import min_chip, mtf_minimum
 from cep.code import ShutterCode
 from cep.exposure import open_path
-from cep.minimum import min_chip, mtf_minimum
 from cep.response import ShutterResponse
 from motdiff.trajectory import Trajectory
 

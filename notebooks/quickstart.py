@@ -28,7 +28,7 @@ from cep.code import ShutterCode
 from cep.exposure import coded_psf
 from cep.mtf import measure
 from cep.restore import restore
-from cep.search.anneal import anneal
+from cep.search.annealing.anneal import anneal
 from cep.search.problem import SearchProblem
 from motdiff.estimators.reference import ReferenceEstimator
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift

@@ -43,6 +43,7 @@ LIGHT_CLI = {
     "__future__",
     "collections",
     "contextlib",
+    "dataclasses",
     "os",
     "pathlib",
     "sys",

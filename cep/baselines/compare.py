@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cep.baselines.published import for_chips
 from cep.code import ShutterCode
 from cep.mtf import CodeMetrics
-from cep.search.anneal import anneal
+from cep.search.annealing.anneal import anneal
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory

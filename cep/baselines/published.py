@@ -9,8 +9,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from cep.certify.minimum import min_chip
 from cep.code import ShutterCode
-from cep.minimum import min_chip
 
 __all__ = [
     "CLAIMS",
@@ -122,7 +122,7 @@ def for_chips(chips: int) -> tuple[PublishedCode, ...]:
 
 
 def best_for(chips: int) -> PublishedCode | None:
-    """Find the published code of ``chips`` chips with the largest :func:`cep.minimum.min_chip`, or None."""
+    """Find the published code of ``chips`` chips with the largest :func:`cep.certify.minimum.min_chip`, or None."""
     return max(for_chips(chips), key=lambda entry: min_chip(entry.code), default=None)
 
 

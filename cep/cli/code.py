@@ -29,7 +29,7 @@ from cep.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cep.verify import Verdict
+    from cep.verify.certificates import Verdict
 
 __all__ = ["audit", "mtf"]
 
@@ -65,11 +65,11 @@ def audit(
     Example: cep audit code.json --trajectory trajectory.json --json
     """
     from cep.audit import better_neighbours, grid_claims, null_threshold, zeros_by_direction
-    from cep.certificate import certify
+    from cep.certify.certificate import certify
     from cep.design import check_frame, check_resolved, judge
     from cep.files import json_text
     from cep.outputs import claim, write_text
-    from cep.verify import verify
+    from cep.verify.certificates import verify
     from motdiff.trajectory import Trajectory
 
     stored = load_code(code, chip_ns=chip_ns)

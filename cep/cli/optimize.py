@@ -108,7 +108,7 @@ def optimize(
     import numpy as np
 
     from cep.baselines.compare import compare
-    from cep.certificate import certify
+    from cep.certify.certificate import certify
     from cep.design import check_frame, check_resolved
     from cep.files import StoredCode, write_code
     from cep.outputs import claim
@@ -219,8 +219,8 @@ def _search(problem: SearchProblem, *, method: str, steps: int | None, time_s: f
     import numpy as np
 
     from cep.baselines.published import for_chips
-    from cep.search.anneal import anneal, standard_moves
-    from cep.search.exact import codes_to_count, exact
+    from cep.search.annealing.anneal import anneal, standard_moves
+    from cep.search.exhaustive.exact import codes_to_count, exact
 
     if method == "exact":
         with progress(f"counting {codes_to_count(problem):.2g} codes") as tick:
@@ -256,7 +256,7 @@ def _bounded(
     problem: SearchProblem, metrics: Any, *, straight: bool, effort: str
 ) -> tuple[str, float | None, float | None]:
     """Name, bound and gap of the figure that was optimised, None where nothing bounds it."""
-    from cep.search.bounds import bound
+    from cep.search.bounding.bounds import bound
 
     if problem.objective not in ("min-mtf", "noise"):
         return "", None, None

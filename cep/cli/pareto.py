@@ -24,7 +24,7 @@ from cep.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cep.search.front import Front, FrontPoint
+    from cep.search.fronts.front import Front, FrontPoint
 
 __all__ = ["FRONT_SCHEMA", "pareto"]
 
@@ -84,8 +84,8 @@ def pareto(
     from cep.outputs import claim, write_text
     from cep.plots.canvas import save
     from cep.plots.pareto import pareto_figure
-    from cep.search.front import knees
-    from cep.search.pareto import front_points, pareto_front
+    from cep.search.fronts.front import knees
+    from cep.search.fronts.pareto import front_points, pareto_front
     from cep.search.problem import SearchProblem
 
     if direction not in DIRECTIONS:
@@ -154,7 +154,7 @@ def pareto(
 
 def _show(console: Console, front: Front, published: dict[str, FrontPoint], output: Path, picture: Path) -> None:
     from cep.mtf import HOPELESS_DB
-    from cep.search.front import knees
+    from cep.search.fronts.front import knees
 
     console.print(f"{output}, {picture}: {len(front.points)} codes that none found beats, {front.seconds:.1f} s")
     least = {"chips": "min |P|, chips", "light-true": "min MTF"}.get(front.unit, "min MTF, sampled")

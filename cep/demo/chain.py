@@ -19,7 +19,7 @@ from cep.exposure import coded_psf
 from cep.mtf import CodeMetrics
 from cep.restore import restore
 from cep.restore.direction import DirectionResult, test_directions
-from cep.search.anneal import SearchResult, anneal
+from cep.search.annealing.anneal import SearchResult, anneal
 from cep.search.problem import SearchProblem, open_range_of_duty
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cep.mtf import HOPELESS_DB
 from cep.plots.canvas import COLOURS, new_figure
-from cep.search.front import Front, FrontPoint, knees
+from cep.search.fronts.front import Front, FrontPoint, knees
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,7 +43,7 @@ def pareto_figure(front: Front, published: Mapping[str, FrontPoint] | None = Non
     front : Front
         With at least one point.
     published : mapping of name to FrontPoint, optional
-        Codes to compare with, judged as :func:`cep.search.pareto.front_points` does.
+        Codes to compare with, judged as :func:`cep.search.fronts.pareto.front_points` does.
     title : str
 
     Raises

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.band import BandSamples, band_samples, circle_samples
+from cep.certify.minimum import min_chip, mtf_minimum
 from cep.code import ShutterCode
-from cep.minimum import min_chip, mtf_minimum
 from cep.mtf import inverse_scene, noise_variance
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import scenario_rows

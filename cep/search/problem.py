@@ -36,7 +36,7 @@ class SearchProblem:
         Number of chips n.
     scenarios : tuple of Scenario
         Motions to design for. None at all means the unit circle of the code's polynomial: the objective is then
-        :func:`cep.minimum.min_chip` and its like, whatever the speed of a straight motion.
+        :func:`cep.certify.minimum.min_chip` and its like, whatever the speed of a straight motion.
     open_range : (int, int), optional
         Fewest and most open chips; any number when omitted.
     objective : {"min-mtf", "flatness", "noise", "mse"} or tuple of (name, weight)

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cep.baselines.published import PUBLISHED
+from cep.certify.minimum import min_chip
 from cep.code import ShutterCode
-from cep.minimum import min_chip
 from cep.mtf import measure
-from cep.search.anneal import anneal
-from cep.search.bounds import bound
+from cep.search.annealing.anneal import anneal
+from cep.search.bounding.bounds import bound
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem, open_range_of_duty
 from motdiff.trajectory import Trajectory

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from cep.audit import better_neighbours, grid_claims, minimum_along, null_threshold, zeros_by_direction
 from cep.baselines.published import CLAIMS, PUBLISHED
-from cep.certificate import certify
+from cep.certify.certificate import certify
+from cep.certify.minimum import min_chip
 from cep.code import ShutterCode
 from cep.exposure import coded_otf
 from cep.files import StoredCode, write_code
-from cep.minimum import min_chip
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5]])

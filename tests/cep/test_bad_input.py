@@ -301,7 +301,7 @@ def test_codes_longer_than_the_trajectory_can_resolve(refused, workplace):
         ["--duty", "0.5", "--open", "5"],
         ["--objective", "beauty"],
         ["--direction", "up"],
-        ["--method", "exact"],
+        ["--method", "guess"],
         ["--min-open", "11"],
         ["--min-open", "4", "--open", "3"],
         ["--device", "nothing"],

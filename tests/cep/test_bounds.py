@@ -9,18 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cep.band import band_samples
+from cep.certify.minimum import min_chip
 from cep.code import ShutterCode
 from cep.exposure import chip_basis
-from cep.minimum import min_chip
 from cep.mtf import measure
 from cep.response import ShutterResponse
-from cep.search import relaxation
-from cep.search.bounds import bound, relaxed_minimum
-from cep.search.dual import circle_average, form_matrix, gram, largest_form, largest_forms
-from cep.search.elementary import chip_ceilings
+from cep.search.bounding import relaxation
+from cep.search.bounding.bounds import bound, relaxed_minimum
+from cep.search.bounding.dual import circle_average, form_matrix, gram, largest_form, largest_forms
+from cep.search.bounding.elementary import chip_ceilings
+from cep.search.bounding.proving import tightened
+from cep.search.bounding.relaxation import Relaxation, cvxpy_solver, newton_solver, relax, rounded_codes
 from cep.search.problem import Scenario, SearchProblem
-from cep.search.proving import tightened
-from cep.search.relaxation import Relaxation, cvxpy_solver, newton_solver, relax, rounded_codes
 from motdiff.trajectory import Trajectory
 
 BOTH_GOALS = (("min-mtf", 1.0), ("noise", 1.0))
@@ -108,7 +108,8 @@ PROBLEMS = {
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_no_code_passes_a_bound(name, monkeypatch):
     problem = PROBLEMS[name]
-    monkeypatch.setattr("cep.search.proving._MOST_FREQUENCIES", 300)  # a mean over a curve's band takes too long here
+    # a mean over the whole band of a curve takes too long here
+    monkeypatch.setattr("cep.search.bounding.proving._MOST_FREQUENCIES", 300)
     lowest, noise = best_of_all(problem)
     quick, deep = (bound(problem, effort=effort) for effort in ("quick", "sdp"))
     for found in (quick, deep):
@@ -276,7 +277,7 @@ def test_without_a_solver_the_quick_bound_stays(monkeypatch):
 
 
 def test_a_lying_solver_only_loosens():
-    from cep.search.bounds import _motions
+    from cep.search.bounding.bounds import _motions
 
     problem = PROBLEMS["accelerated, known"]
     counts, known = np.array([4]), np.array([np.inf])

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from cep.response import ShutterResponse
-from cep.search.chains import Cooling, Crew, Walks
-from cep.search.cooling import Chain, cool
+from cep.search.annealing.chains import Cooling, Crew, Walks
+from cep.search.annealing.cooling import Chain, cool
+from cep.search.annealing.polish import neighbours
+from cep.search.annealing.states import fresh_otf, smallest_power, total_cost, worst_first
+from cep.search.annealing.tables import lay_out, limits_of, work_space
+from cep.search.annealing.terms import BLOCK
+from cep.search.annealing.walking import walk
 from cep.search.objective import Objective
-from cep.search.polish import neighbours
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
-from cep.search.states import fresh_otf, smallest_power, total_cost, worst_first
-from cep.search.tables import lay_out, limits_of, work_space
-from cep.search.terms import BLOCK
-from cep.search.walking import walk
 from motdiff.trajectory import Trajectory
 
 MIX = (("noise", 1.0), ("flatness", 0.5))
@@ -165,3 +165,17 @@ def test_a_stopped_crew_offers_what_it_has():
         crew.run([Cooling(start[0], 0.5, 0.1, 10**12, 1), Walks(start, 10**12, 2)], tick, codes.append)
     assert len(codes) == 2
     assert all(len(some) >= 1 for some in codes)
+
+
+@pytest.mark.parametrize("objective", ["noise", "min-mtf"])
+def test_a_chain_leaves_a_code_with_zeros(objective):
+    """Terms of a true zero neither overflow nor stay."""
+    chips = 120
+    problem = SearchProblem(chips=chips, open_range=(60, 60), objective=objective)
+    coarse = Objective(problem, oversampling=8)
+    comb = (np.arange(chips) % 2 == 0).astype(np.int8)
+    found = []
+    crew = Crew(problem, lay_out(coarse), np.arange(chips), threads=1)
+    crew.run([Cooling(comb, 0.1, 0.05, 40_000, 1), Walks(comb[None], 400_000, 2)], lambda _moves: True, found.append)
+    for codes in found:
+        assert coarse.cost_of(codes).min() < (45 if objective == "min-mtf" else 30)

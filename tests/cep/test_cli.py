@@ -23,7 +23,7 @@ from motdiff.files import read_motion, write_motion
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
 from motdiff.trajectory import Trajectory
 
-COMMANDS = ("calibrate", "optimize", "audit", "mtf", "simulate", "deblur", "export", "upload", "demo")
+COMMANDS = ("calibrate", "optimize", "pareto", "audit", "mtf", "simulate", "deblur", "export", "upload", "demo")
 METRICS = {"min_mtf", "min_chip", "noise_gain_db", "mse_db", "flatness_var", "dnf_db"}
 
 
@@ -227,7 +227,7 @@ def test_optimize_keeps_a_devices_limits(cep, workplace):
 
 
 def test_optimize_interrupted_keeps_the_best(cep, workplace, monkeypatch):
-    from cep.search import anneal as module
+    from cep.search.annealing import anneal as module
 
     def interrupted_soon(problem, *, progress, **options):
         def stop(_fraction, _best):
@@ -258,7 +258,7 @@ _LOUD = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 from cep.cli.main import run
-from cep.search import anneal as module
+from cep.search.annealing import anneal as module
 
 real = module.anneal
 

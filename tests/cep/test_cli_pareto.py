@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from cep.baselines.published import for_chips
+from cep.certify.minimum import min_chip
 from cep.code import ShutterCode
-from cep.minimum import min_chip
-from cep.search import pareto as module
+from cep.search.fronts import pareto as module
 
 
 def test_both_files_are_written(cep, workplace):

@@ -5,7 +5,7 @@ import pytest
 
 from cep.baselines.compare import compare
 from cep.code import ShutterCode
-from cep.search.anneal import anneal
+from cep.search.annealing.anneal import anneal
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 

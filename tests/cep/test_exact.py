@@ -10,16 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cep.band import band_samples
+from cep.certify.minimum import min_chip
 from cep.code import ShutterCode
 from cep.exposure import chip_basis
-from cep.minimum import min_chip
 from cep.response import ShutterResponse
-from cep.search import exact as module
-from cep.search.blocks import Tables
-from cep.search.exact import codes_to_count, exact
-from cep.search.exhaust import INNER, Limits, all_patterns
+from cep.search.exhaustive import exact as module
+from cep.search.exhaustive.blocks import Tables
+from cep.search.exhaustive.exact import codes_to_count, exact
+from cep.search.exhaustive.exhaust import INNER, Limits, all_patterns
+from cep.search.exhaustive.proof import ProofLog
 from cep.search.problem import Scenario, SearchProblem
-from cep.search.proof import ProofLog
 from motdiff.trajectory import Trajectory
 
 

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cep.certify.minimum import chip_minimum, min_chip, mtf_minimum
+from cep.certify.polynomial import circle_rest, divided, divisible, sign_changes, vanishing_orders
+from cep.certify.taylor import first_cells, floors, jets, pieces_of_code, pieces_of_path
+from cep.certify.zeros import Zero, kantorovich, zeros_along, zeros_of_code
 from cep.code import ShutterCode
 from cep.exposure import coded_otf, open_path
-from cep.minimum import chip_minimum, min_chip, mtf_minimum
-from cep.polynomial import circle_rest, divided, divisible, sign_changes, vanishing_orders
-from cep.taylor import first_cells, floors, jets, pieces_of_code, pieces_of_path
-from cep.zeros import Zero, kantorovich, zeros_along, zeros_of_code
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 

@@ -10,9 +10,9 @@ from scipy import integrate
 
 from cep.band import band_samples, circle_samples, straight_axis, uniform_length_px
 from cep.camera import Camera
+from cep.certify.minimum import chip_minimum, min_chip, mtf_minimum
 from cep.code import ShutterCode
 from cep.exposure import coded_otf
-from cep.minimum import chip_minimum, min_chip, mtf_minimum
 from cep.mtf import SCENE_STD, band, chip_noise_db, inverse_scene, measure, noise_variance, wiener_mse, worst_of
 from motdiff.trajectory import Trajectory
 

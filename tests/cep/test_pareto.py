@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from matplotlib.text import Text
 
+from cep.certify.minimum import min_chip
 from cep.code import ShutterCode
-from cep.minimum import min_chip
 from cep.mtf import chip_noise_db, measure
 from cep.plots.canvas import png_bytes
 from cep.plots.pareto import pareto_figure
-from cep.search.front import Front, FrontPoint, knees, non_dominated
+from cep.search.fronts.front import Front, FrontPoint, knees, non_dominated
+from cep.search.fronts.pareto import front_points, pareto_front
 from cep.search.objective import Objective
-from cep.search.pareto import front_points, pareto_front
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 

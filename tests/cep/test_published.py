@@ -16,8 +16,8 @@ from cep.baselines.published import (
     names,
     published,
 )
+from cep.certify.minimum import chip_minimum, min_chip
 from cep.code import ShutterCode
-from cep.minimum import chip_minimum, min_chip
 from cep.mtf import chip_noise_db
 
 # name, chips, open, min |P|, absolute noise gain in dB (None: a true zero makes it infinite)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
-from cep.search.terms import BLOCK, FLATNESS, SMALLEST, decibels, sums_over
+from cep.search.annealing.terms import BLOCK, FLATNESS, SMALLEST, decibels, sums_over
 
 __all__ = ["fresh_otf", "smallest_power", "total_cost", "worst_first"]
 

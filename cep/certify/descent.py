@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.certify.taylor import Pieces
 from cep.compiled import compiled
-from cep.taylor import Pieces
 
 __all__ = ["polish"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.search.annealing.proposals import Limits
+from cep.search.annealing.terms import BLOCK, FLATNESS, RECIPROCAL, STEEP, Tables
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
-from cep.search.proposals import Limits
-from cep.search.terms import BLOCK, FLATNESS, RECIPROCAL, STEEP, Tables
 
 __all__ = ["has_run_limits", "lay_out", "limits_of", "work_space"]
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.band import straight_axis, uniform_length_px
+from cep.certify.polynomial import circle_rest, sign_changes, vanishing_orders
+from cep.certify.taylor import Pieces, first_cells, floors, jets, pieces_of_path
 from cep.code import ShutterCode
 from cep.exposure import open_path
-from cep.polynomial import circle_rest, sign_changes, vanishing_orders
-from cep.taylor import Pieces, first_cells, floors, jets, pieces_of_path
 from motdiff.trajectory import Trajectory
 
 __all__ = ["Zero", "Zeros", "kantorovich", "zeros_along", "zeros_of_code"]

@@ -1,9 +1,10 @@
 r"""What no code can exceed: the smallest |H|, the smallest |P|, and how little noise a restoration can have.
 
-Each figure is the best of several arguments, which :mod:`cep.search.elementary` and :mod:`cep.search.dual` prove; the
-relaxation only supplies multipliers. Every bound holds for each number of open chips alone, and a problem's bound is
-the weakest over its range. Limits on runs and single chips are ignored, so the bounds hold with them. A shutter with
-ramps is only bounded by its light: its |H|^2 is no quadratic form in the code.
+Each figure is the best of several arguments, which :mod:`cep.search.bounding.elementary` and
+:mod:`cep.search.bounding.dual` prove; the relaxation only supplies multipliers. Every bound holds for each number of
+open chips alone, and a problem's bound is the weakest over its range. Limits on runs and single chips are ignored, so
+the bounds hold with them. A shutter with ramps is only bounded by its light: its |H|^2 is no quadratic form in the
+code.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from numpy.typing import NDArray
 
 from cep.band import BandSamples, band_samples, straight_axis
 from cep.exposure import chip_basis, chip_parts
-from cep.search.dual import DualProof, circle_grid
-from cep.search.elementary import MotionBasis, chip_ceilings, mtf_ceilings, noise_floors
+from cep.search.bounding.dual import DualProof, circle_grid
+from cep.search.bounding.elementary import MotionBasis, chip_ceilings, mtf_ceilings, noise_floors
+from cep.search.bounding.proving import relaxed, tightened
+from cep.search.bounding.relaxation import Relaxation
 from cep.search.problem import SearchProblem
-from cep.search.proving import relaxed, tightened
-from cep.search.relaxation import Relaxation
 from motdiff.trajectory import Trajectory
 
 __all__ = ["Bound", "bound", "relaxed_minimum"]

@@ -11,12 +11,12 @@ from threading import Event
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.search.cooling import Chain, cool
+from cep.search.annealing.cooling import Chain, cool
+from cep.search.annealing.states import fresh_otf, total_cost, worst_first
+from cep.search.annealing.tables import limits_of, work_space
+from cep.search.annealing.terms import BLOCK, Tables
+from cep.search.annealing.walking import walk
 from cep.search.problem import SearchProblem
-from cep.search.states import fresh_otf, total_cost, worst_first
-from cep.search.tables import limits_of, work_space
-from cep.search.terms import BLOCK, Tables
-from cep.search.walking import walk
 
 __all__ = ["Cooling", "Crew", "Walks"]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.verify_sums import Lines, RefusedError, named
+from cep.verify.sums import Lines, RefusedError, named
 
 __all__ = ["zero_holds"]
 

@@ -10,11 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from cep.band import straight_axis, uniform_length_px
-from cep.code import ShutterCode
-from cep.descent import polish
-from cep.exposure import open_path
-from cep.response import ShutterResponse
-from cep.taylor import (
+from cep.certify.descent import polish
+from cep.certify.taylor import (
     Pieces,
     extended,
     first_cells,
@@ -25,7 +22,10 @@ from cep.taylor import (
     pieces_of_path,
     snapped,
 )
-from cep.zeros import Zero, kantorovich, zeros_along, zeros_of_code
+from cep.certify.zeros import Zero, kantorovich, zeros_along, zeros_of_code
+from cep.code import ShutterCode
+from cep.exposure import open_path
+from cep.response import ShutterResponse
 from motdiff.trajectory import Trajectory
 
 __all__ = ["SUBDIVISION", "Minimum", "chip_minimum", "min_chip", "mtf_minimum"]

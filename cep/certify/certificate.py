@@ -1,4 +1,4 @@
-"""A code's smallest |H| as data that anybody can check again: see :mod:`cep.verify`, which shares no code with it."""
+"""A code's smallest |H| as data that anybody can check again, as :mod:`cep.verify` does with other arithmetic."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from cep.band import uniform_length_px
+from cep.certify.minimum import Minimum, chip_minimum, mtf_minimum
+from cep.certify.zeros import Zero
 from cep.code import ShutterCode
-from cep.minimum import Minimum, chip_minimum, mtf_minimum
-from cep.zeros import Zero
 from motdiff.trajectory import Trajectory
 
 __all__ = ["BOTH", "FORWARD", "Certificate", "certify"]

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
-from cep.search.proposals import draw_any, draw_blocks, uniform
-from cep.search.states import smallest_power
-from cep.search.terms import STEEP, add_rows, alone, decibels, judge, sum_of_cost, turn
+from cep.search.annealing.proposals import draw_any, draw_blocks, uniform
+from cep.search.annealing.states import smallest_power
+from cep.search.annealing.terms import STEEP, add_rows, alone, decibels, judge, sum_of_cost, turn
 
 __all__ = ["Chain", "cool"]
 
@@ -57,7 +57,7 @@ def cool(
     free : (M,) int64
         Chips that may change.
     work : (3, 64) float32 or None
-        Work space; None where every move is usual (:func:`cep.search.tables.work_space`), which is faster.
+        Work space; None where every move is usual (:func:`cep.search.annealing.tables.work_space`), which is faster.
     temperatures : (2,) float64, dB
         At the first move, and after the last.
     moves : int
@@ -103,7 +103,7 @@ def cool(
             sums,
         ):
             cost = decibels(tables, sums, opened + more)
-        if cost > highest:
+        if not cost <= highest:
             for c in range(count):
                 code[changed[c]] = 1 - code[changed[c]]
             continue

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from cep.band import band_samples, straight_axis
 from cep.exposure import chip_basis
-from cep.search.dual import DualProof, circle_average, largest_form
-from cep.search.elementary import MotionBasis
-from cep.search.relaxation import Relaxation, Solver, relax
+from cep.search.bounding.dual import DualProof, circle_average, largest_form
+from cep.search.bounding.elementary import MotionBasis
+from cep.search.bounding.relaxation import Relaxation, Solver, relax
 
 __all__ = ["relaxed", "tightened"]
 

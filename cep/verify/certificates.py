@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.verify_sums import Lines, RefusedError, chip_lines, named, on_axis, path_lines
-from cep.verify_zeros import zero_holds
+from cep.verify.sums import Lines, RefusedError, chip_lines, named, on_axis, path_lines
+from cep.verify.zeros import zero_holds
 
 __all__ = ["Verdict", "verify"]
 

@@ -1,8 +1,8 @@
 """Proven optimum: every code is judged, or left out at a frequency where its |H| is below the best code's minimum.
 
 On the unit circle a shift in time and the reversal change nothing, so the codes of n chips are those of every length
-up to n with both end chips open, one of each mirror pair. :mod:`cep.search.exhaust` discards nearly all of them,
-billions a second; the few that it leaves are judged here in float64, and the winner is certified over the continuum.
+up to n with both end chips open, one of each mirror pair. :mod:`.exhaust` discards nearly all of them, billions a
+second; the few that it leaves are judged here in float64, and the winner is certified over the continuum.
 
 References
 ----------
@@ -24,14 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.band import band_samples, circle_samples
+from cep.certify.minimum import Minimum, chip_minimum, min_chip, mtf_minimum
 from cep.code import ShutterCode
 from cep.exposure import chip_basis
-from cep.minimum import Minimum, chip_minimum, min_chip, mtf_minimum
-from cep.search.blocks import MARGIN, Scanner, Tables
-from cep.search.climb import climbed
-from cep.search.exhaust import BYTES, INNER, Limits, dot
+from cep.search.exhaustive.blocks import MARGIN, Scanner, Tables
+from cep.search.exhaustive.climb import climbed
+from cep.search.exhaustive.exhaust import BYTES, INNER, Limits, dot
+from cep.search.exhaustive.proof import ExactResult, LengthLog, ProofLog
 from cep.search.problem import SearchProblem
-from cep.search.proof import ExactResult, LengthLog, ProofLog
 from motdiff.trajectory import Trajectory
 
 __all__ = ["ExactResult", "LengthLog", "ProofLog", "codes_to_count", "exact"]

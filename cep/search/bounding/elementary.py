@@ -12,7 +12,7 @@ weighted-parseval      straight uniform motion: random-code with the chip's sinc
 gram                   one eigenvalue of the Gram matrix averaged over the band outside a radius
 gram-rows              the k largest row sums of that matrix, each of its diagonal and k - 1 largest others
 jensen                 ``mean 1/|H|^2 >= 1 / mean |H|^2``
-jensen-weighted        the same with weights that suit the mean of all codes; see :mod:`cep.search.dual`
+jensen-weighted        the same with weights that suit the mean of all codes; see :mod:`cep.search.bounding.dual`
 ====================== =============================================================================================
 
 References
@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.band import BandSamples, uniform_length_px
-from cep.search.dual import circle_average, gram, largest_forms
+from cep.search.bounding.dual import circle_average, gram, largest_forms
 from motdiff.trajectory import Trajectory
 
 __all__ = ["MotionBasis", "chip_ceilings", "mtf_ceilings", "noise_floors"]

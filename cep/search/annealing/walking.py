@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
-from cep.search.proposals import keeps_runs, uniform
-from cep.search.states import smallest_power
-from cep.search.terms import STEEP, add_rows, alone, decibels, judge, sum_of_cost, turn
+from cep.search.annealing.proposals import keeps_runs, uniform
+from cep.search.annealing.states import smallest_power
+from cep.search.annealing.terms import STEEP, add_rows, alone, decibels, judge, sum_of_cost, turn
 
 __all__ = ["walk"]
 
@@ -46,7 +46,7 @@ def walk(
     free : (M,) int64
         Chips that may change.
     work : (3, 64) float32 or None
-        Work space; None where every move is usual (:func:`cep.search.tables.work_space`), which is faster.
+        Work space; None where every move is usual (:func:`cep.search.annealing.tables.work_space`), which is faster.
     held : (chips,) int64
         Step until which each chip stays; changed in place.
     first : int

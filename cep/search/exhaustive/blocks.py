@@ -1,4 +1,4 @@
-"""How codes are cut into blocks for :mod:`cep.search.exhaust`, and the tables that it reads."""
+"""How codes are cut into blocks for :mod:`cep.search.exhaustive.exhaust`, and the tables that it reads."""
 
 from __future__ import annotations
 
@@ -9,7 +9,18 @@ from itertools import groupby, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.search.exhaust import BYTES, INNER, SHIFT, Limits, Part, all_patterns, dot, fill_cells, scan, sums_by_byte
+from cep.search.exhaustive.exhaust import (
+    BYTES,
+    INNER,
+    SHIFT,
+    Limits,
+    Part,
+    all_patterns,
+    dot,
+    fill_cells,
+    scan,
+    sums_by_byte,
+)
 
 __all__ = ["MARGIN", "Scanner", "Tables"]
 
@@ -148,7 +159,7 @@ class Scanner:
         counts: NDArray[np.int64],
         halt: NDArray[np.bool_],
     ) -> NDArray[np.uint64]:
-        """Scan from ``span[0]``, ``span[2]`` on, as :func:`cep.search.exhaust.scan`; returns the codes found."""
+        """Scan from ``span[0]``, ``span[2]`` on, as :func:`exhaust.scan` does; returns the codes found."""
         tables = self.tables
         number = scan(
             self.head, self.tail, self.near, self.tails, self.near_at, tables.first_cell, tables.cells, tables.grid,

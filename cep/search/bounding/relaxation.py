@@ -8,7 +8,7 @@ The products ``C = c c'`` of all codes with k ones are relaxed to symmetric ``C 
 with ``g = sum a_f`` for the smallest |H|^2 (whose bound is k / g) and ``g = sum sqrt(w_f a_f)`` for the mean of
 1/|H|^2 (whose bound is g^2 / k). Newton steps on its logarithmic barrier cost little, as each G_f has two or four
 columns, and the barrier's inverse matrix is the relaxed C. What a solver returns is only ever used as multipliers of a
-:class:`cep.search.dual.DualProof`.
+:class:`cep.search.bounding.dual.DualProof`.
 
 References
 ----------

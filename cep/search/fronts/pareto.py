@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from cep.baselines.published import for_chips
 from cep.code import ShutterCode
-from cep.search.archive import EQUAL_DB, Archive, Judge
-from cep.search.chains import Cooling, Crew, Walks
-from cep.search.front import Front, FrontPoint, knees, non_dominated
+from cep.search.annealing.chains import Cooling, Crew, Walks
+from cep.search.annealing.tables import has_run_limits, lay_out
+from cep.search.annealing.terms import Tables
+from cep.search.fronts.archive import EQUAL_DB, Archive, Judge
+from cep.search.fronts.front import Front, FrontPoint, knees, non_dominated
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
-from cep.search.tables import has_run_limits, lay_out
-from cep.search.terms import Tables
 
 __all__ = ["NOISE_SHARES", "Front", "FrontPoint", "front_points", "knees", "non_dominated", "pareto_front"]
 
@@ -42,7 +42,7 @@ _LEEWAY_DB = np.array([1.5, 0.6])  # by which a count's codes may be beaten befo
 _FIRST_LOOKS, _LOOKS = 3, 16  # codes looked around in one go
 _RANDOM, _VARIANTS = 8, 16  # random codes of each count, and copies of each neighbour's code with other light
 _OVERSAMPLING = 8
-_HOT_DB = {"min-mtf": 0.8, "noise": 0.3}  # as in cep.search.anneal
+_HOT_DB = {"min-mtf": 0.8, "noise": 0.3}  # as in cep.search.annealing.anneal
 _COOLING, _REHEATED = 3.0, 0.6  # hottest over coldest; chains that start from good codes are cooler
 _MOST_SWAPS = 2**14  # of a code that walks can serve
 _CHAINS = 4

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from cep.band import straight_axis
 from cep.code import ShutterCode
 from cep.mtf import CodeMetrics
-from cep.search.chains import Cooling, Crew, Walks
+from cep.search.annealing.chains import Cooling, Crew, Walks
+from cep.search.annealing.polish import polish
+from cep.search.annealing.tables import has_run_limits, lay_out
 from cep.search.objective import Objective
-from cep.search.polish import polish
 from cep.search.problem import SearchProblem
-from cep.search.tables import has_run_limits, lay_out
 
 __all__ = ["SearchResult", "anneal", "standard_moves"]
 
@@ -24,6 +24,7 @@ Codes = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
 _SEARCH_OVERSAMPLING = 8  # coarse: the polish judges on 64 and the continuum
 _HOT_DB = {"min-mtf": 0.8, "noise": 0.3, "flatness": 0.1, "mse": 0.1}  # as their single moves differ: docs/decisions.md
+_HOT_CHIPS = 52
 _COOLING = 3.0  # hottest over coldest
 _CHAINS = 8  # of a round: enough for most machines' cores, and the outcome must not depend on their number
 _WALKS_STRAIGHT, _WALKS_CURVED = 6, 2  # chains of later rounds that walk instead
@@ -211,6 +212,8 @@ def _plans(
 ) -> list[Cooling | Walks]:
     """Plan a round: chains that cool from everything given, from the best and from anywhere, others that walk."""
     hot = sum(weight * _HOT_DB[name] for name, weight in problem.objective_mix)
+    # the more chips, the less a move changes
+    hot *= min(1.0, (_HOT_CHIPS / problem.chips) ** 1.5)
     walks = 0
     if not (first or has_run_limits(problem) or problem.chips**2 // 4 > _MOST_SWAPS):
         straight = all(straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios)

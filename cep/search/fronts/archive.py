@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.band import straight_axis, uniform_length_px
+from cep.certify.minimum import min_chip, mtf_minimum
 from cep.code import ShutterCode
-from cep.minimum import min_chip, mtf_minimum
 from cep.mtf import HOPELESS_DB
-from cep.search.front import FrontPoint, non_dominated
+from cep.search.fronts.front import FrontPoint, non_dominated
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 

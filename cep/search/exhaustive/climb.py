@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.search.exhaust import dot
+from cep.search.exhaustive.exhaust import dot
 
 __all__ = ["climbed"]
 

@@ -1,0 +1,1 @@
+"""Smallest |H| over a continuum of frequencies: bounds, exact zeros, certificates."""

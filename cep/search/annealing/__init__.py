@@ -1,0 +1,1 @@
+"""Annealing chains and tabu walks on compiled loops."""

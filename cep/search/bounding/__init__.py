@@ -1,0 +1,1 @@
+"""What no code can exceed."""

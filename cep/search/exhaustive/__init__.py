@@ -1,0 +1,1 @@
+"""Every code counted out, and the best one proven."""

@@ -1,0 +1,78 @@
+"""``cep optimize`` from the shell: proofs, forced chips, motions that may differ, a shutter's ramps."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cep.code import ShutterCode
+from cep.files import read_code
+
+
+def test_exact_proves_the_best_and_audit_confirms_it(cep, workplace):
+    found = cep.succeeds("optimize", "--linear", "13", "--chips", "13", "--method", "exact", "-o", "best.json")
+    assert found["proven"]
+    assert found["bits"] == "1111100110101"  # the Barker-13 code: docs/optima.md
+    assert found["min_chip"] == pytest.approx(1.362373, abs=1e-5)
+    stored = read_code("best.json")
+    assert stored.problem["proof"]["bits"]
+    audited = cep.succeeds("audit", "best.json")
+    assert audited["verified"]["holds"]
+
+
+def test_a_forged_certificate_is_found_out(cep, workplace):
+    cep.succeeds("optimize", "--linear", "13", "--chips", "13", "--steps", "2000", "-o", "new.json")
+    document = json.loads(Path("new.json").read_text())
+    document["certificate"]["lower"] *= 1.01
+    document["certificate"]["upper"] *= 1.01
+    Path("forged.json").write_text(json.dumps(document))
+    audited = cep.succeeds("audit", "forged.json")
+    assert not audited["verified"]["holds"]
+
+
+def test_forced_chips_are_kept(cep, workplace):
+    options = ("optimize", "--linear", "12", "--chips", "12", "--steps", "3000", "-o", "new.json")
+    found = cep.succeeds(*options, "--fixed", "??0???0?????", "--first-open", "--last-open")
+    assert found["bits"][0] == found["bits"][-1] == "1"
+    assert found["bits"][2] == found["bits"][6] == "0"
+
+
+def test_other_speeds_and_clocks_count(cep, workplace):
+    options = ("optimize", "--linear", "12", "--chips", "12", "--objective", "noise", "--steps", "3000", "--force")
+    plain = cep.succeeds(*options, "-o", "plain.json")
+    wider = cep.succeeds(*options, "--speed", "0.8:1.2", "--drift", "0.02", "--jitter", "0.05", "-o", "wider.json")
+    # its figures are the worst over all of them
+    assert wider["noise_gain_db"] > plain["noise_gain_db"]
+    assert any("on time" in warning for warning in wider["warnings"])
+    assert wider["gap"] is not None
+    assert wider["noise_gain_db"] >= wider["bound"]
+
+
+def test_a_slow_shutter_is_designed_for(cep, workplace):
+    options = ("optimize", "--linear", "20", "--chips", "16", "--objective", "noise", "--steps", "3000", "--force")
+    quick = cep.succeeds(*options, "--device", "flc", "--chip-ns", "1000000", "-o", "quick.json")
+    slow = cep.succeeds(*options, "--device", "flc", "--chip-ns", "50000", "-o", "slow.json")
+    assert slow["noise_gain_db"] > quick["noise_gain_db"]
+    assert ShutterCode(slow["bits"]).chips == 16
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--method", "guess"), "--method: must be anneal or exact"),
+        (("--method", "exact", "--objective", "noise"), "min-mtf"),
+        (("--bound", "loose"), "--bound: must be quick or sdp"),
+        (("--fixed", "1?"), "--fixed: must be 12 characters"),
+        (("--fixed", "0???????????", "--first-open"), "0"),
+        (("--speed", "fast"), "--speed: must be LOW:HIGH"),
+        (("--speed", "-1:1"), "above 0"),
+        (("--drift", "0.9"), "-0.5..0.5"),
+        (("--jitter", "0.4"), "0..0.15"),
+        (("--rule", "median"), "rule"),
+        (("--min-closed", "9", "--open", "8", "--max-pulses", "1", "--fixed", "1?????0????1"), "conflict"),
+    ],
+)
+def test_bad_wishes_are_one_line(cep, workplace, options, message):
+    line = cep.refuses("optimize", "--linear", "12", "--chips", "12", "-o", "never.json", *options)
+    assert message in line
+    assert not Path("never.json").exists()
