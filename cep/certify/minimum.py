@@ -130,8 +130,16 @@ def mtf_minimum(
         budget,
         lambda _: _first(zeros_along(trajectory, code).found) if uniform else None,
     )
-    at = found.zero.at if found.zero else (float(found.at[0] * axis[0]), float(found.at[0] * axis[1]))
+    at = found.zero.at if found.zero else _in_band(found.at[0], axis)
     return Minimum(found.lower, found.upper, at, found.method, found.zero)
+
+
+def _in_band(along: float, axis: FloatArray) -> tuple[float, float]:
+    """Return a frequency of the band whose component along a straight motion is ``along``: only that one counts."""
+    x, y = along * axis
+    if max(abs(x), abs(y)) > 0.5:
+        x, y = np.sign(axis) * along / np.abs(axis).sum()
+    return float(x), float(y)
 
 
 def _bounded(pieces: Pieces, gap: float, budget: int, prove: Callable[[FloatArray], Zero | None]) -> Minimum:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cep.cli.console import finish, progress, table
+from cep.cli.frames import optimize_frames
 from cep.cli.options import (
     CameraFile,
     Force,
@@ -80,6 +81,9 @@ def optimize(
     effort: Annotated[
         str, typer.Option("--bound", help="quick; or sdp: half a minute for a tighter bound along curved motion.")
     ] = "quick",
+    frames: Annotated[
+        int, typer.Option("--frames", min=1, help="Exposures restored together, each with its own code: code_1.json ...")
+    ] = 1,
     time_s: Annotated[float, typer.Option("--time", help="Time limit of the search, s.")] = 60.0,
     steps: Annotated[
         int | None,
@@ -138,12 +142,6 @@ def optimize(
     )
     straight = on_the_circle(problem)
     searched = replace(problem, scenarios=()) if straight and problem.objective == "min-mtf" else problem
-    claim([output], force=force)
-    found = _search(searched, method=method, steps=steps, time_s=time_s, seed=seed)
-    code = replace(found["code"], chip_ns=chip_ns)
-    problems = profile.check(Program.from_bits(code.bits, chip_ns=chip_ns)) if profile else ()
-    if problems:
-        raise ValueError(f"no code was found that the device can play: {'; '.join(problems)}")
     described = {
         **{name: value for name, value in asdict(wish).items() if name not in ("open_chips", "duty", "chip_ns")},
         "trajectory": None if trajectory is None else str(trajectory),
@@ -157,10 +155,23 @@ def optimize(
         "device": device,
         "camera": problem.camera.to_dict(),
         "method": method,
-        "steps": found["steps"],
-        "proof": found["proof"],
         "seed": seed,
     }
+    if frames > 1:
+        if method != "anneal":
+            raise ValueError(f"--frames: several codes are searched with --method anneal only, got {method!r}")
+        optimize_frames(
+            problem, searched, frames, described=described, profile=profile, chip_ns=chip_ns, steps=steps,
+            time_s=time_s, seed=seed, output=output, force=force, as_json=as_json,
+        )  # fmt: skip
+        return
+    claim([output], force=force)
+    found = _search(searched, method=method, steps=steps, time_s=time_s, seed=seed)
+    code = replace(found["code"], chip_ns=chip_ns)
+    problems = profile.check(Program.from_bits(code.bits, chip_ns=chip_ns)) if profile else ()
+    if problems:
+        raise ValueError(f"no code was found that the device can play: {'; '.join(problems)}")
+    described |= {"steps": found["steps"], "proof": found["proof"]}
     write_code(output, StoredCode(code, problem=described))  # already: Ctrl-C from here on must not lose it
     ours, *others = compare(problem, code, rng=np.random.default_rng([seed, 1]))
     metrics = ours.metrics
@@ -264,7 +275,8 @@ def _bounded(
     if problem.objective == "noise":
         return "noise gain, dB", limits.noise, metrics.noise_gain_db - limits.noise
     limit, reached = (limits.min_chip, metrics.min_chip) if straight else (limits.min_mtf, metrics.min_mtf)
-    return "min |P|, chips" if straight else "min MTF", limit, 1 - reached / limit
+    # with so many open chips every code may have a zero: then the limit is 0, and reached
+    return "min |P|, chips" if straight else "min MTF", limit, 1 - reached / limit if limit > 0 else 0.0
 
 
 def _warnings(problem: SearchProblem, *, interrupted: bool, method: str) -> list[str]:

@@ -18,7 +18,7 @@ from cep.search.annealing.tables import has_run_limits, lay_out
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
-__all__ = ["SearchResult", "anneal", "standard_moves"]
+__all__ = ["Budget", "SearchResult", "anneal", "hottest_db", "standard_moves"]
 
 Codes = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
@@ -85,7 +85,7 @@ class _Elites:
 
 
 @dataclass
-class _Budget:
+class Budget:
     """Moves and seconds: how much of them is used, and whether any is left."""
 
     steps: int | None
@@ -94,12 +94,15 @@ class _Budget:
     done: int = 0
 
     def used(self) -> float:
+        """Fraction used, 0..1."""
         return min(1.0, max(self.elapsed() / self.time_s, 0.0 if self.steps is None else self.done / self.steps))
 
     def elapsed(self) -> float:
+        """Seconds since it began."""
         return time.monotonic() - self.began
 
     def left(self) -> bool:
+        """Whether neither the moves nor the time is used up."""
         return self.elapsed() < self.time_s and (self.steps is None or self.done < self.steps)
 
     def chain(self, round_number: int) -> int:
@@ -158,7 +161,7 @@ def anneal(
     given = [code.array for code in start]
     if any(bits.size != problem.chips for bits in given):
         raise ValueError(f"start: every code must have {problem.chips} chips")
-    budget = _Budget(steps, time_s, time.monotonic())
+    budget = Budget(steps, time_s, time.monotonic())
     coarse = Objective(problem, oversampling=_SEARCH_OVERSAMPLING)
     elites = _Elites(coarse)
     seeds = np.array([*given, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
@@ -198,6 +201,13 @@ def standard_moves(problem: SearchProblem) -> int:
     return int(np.clip(_STANDARD_WORK // columns, 2**20, 2**25))
 
 
+def hottest_db(problem: SearchProblem) -> float:
+    """Temperature, dB, at which a chain from anywhere starts."""
+    hot = sum(weight * _HOT_DB[name] for name, weight in problem.objective_mix)
+    # the more chips, the less a move changes
+    return float(hot * min(1.0, (_HOT_CHIPS / problem.chips) ** 1.5))
+
+
 def _crews(problem: SearchProblem, coarse: Objective, free: NDArray[np.intp], threads: int | None) -> list[Crew]:
     """Return a crew for the objective; of a mix also one for each part, which judges a move many times as fast."""
     parts = [replace(problem, objective=name) for name, _ in problem.objective_mix]
@@ -211,9 +221,7 @@ def _plans(
     problem: SearchProblem, elites: _Elites, moves: int, rng: np.random.Generator, *, first: bool
 ) -> list[Cooling | Walks]:
     """Plan a round: chains that cool from everything given, from the best and from anywhere, others that walk."""
-    hot = sum(weight * _HOT_DB[name] for name, weight in problem.objective_mix)
-    # the more chips, the less a move changes
-    hot *= min(1.0, (_HOT_CHIPS / problem.chips) ** 1.5)
+    hot = hottest_db(problem)
     walks = 0
     if not (first or has_run_limits(problem) or problem.chips**2 // 4 > _MOST_SWAPS):
         straight = all(straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios)

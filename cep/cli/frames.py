@@ -1,0 +1,163 @@
+"""``cep optimize --frames``: codes of several exposures of one motion, restored together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cep.cli.console import finish, progress, table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from cep.code import ShutterCode
+    from cep.search.annealing.frames import FramesResult, JointFigures
+    from cep.search.problem import SearchProblem
+    from hw.device import DeviceProfile
+
+__all__ = ["optimize_frames"]
+
+
+def optimize_frames(
+    problem: SearchProblem,
+    searched: SearchProblem,
+    frames: int,
+    *,
+    described: Mapping[str, Any],
+    profile: DeviceProfile | None,
+    chip_ns: int,
+    steps: int | None,
+    time_s: float,
+    seed: int,
+    output: Path,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Search, write and print the codes of several frames, beside the best single code played in every frame.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        To measure on.
+    searched : SearchProblem
+        To search, the unit circle where only the code's polynomial matters.
+    frames : int
+    described : mapping
+        What the code files say of the problem.
+    profile : DeviceProfile, optional
+        That must be able to play every code.
+    chip_ns, steps, time_s, seed, output, force, as_json
+        As the command's options; half the time is for the single code.
+
+    Raises
+    ------
+    ValueError
+        If an output is in the way or the device cannot play a code.
+    """
+    from dataclasses import replace
+
+    from cep.cli.search_options import on_the_circle
+    from cep.files import StoredCode, write_code
+    from cep.outputs import claim
+    from cep.search.annealing.frames import joint_figures
+    from hw.program import Program
+
+    files = [output.with_name(f"{output.stem}_{number}{output.suffix}") for number in range(1, frames + 1)]
+    claim(files, force=force)
+    single, found, interrupted = _search(searched, frames, steps=steps, time_s=time_s, seed=seed)
+    codes = [replace(code, chip_ns=chip_ns) for code in found.codes]
+    for code in codes:
+        problems = profile.check(Program.from_bits(code.bits, chip_ns=chip_ns)) if profile else ()
+        if problems:
+            raise ValueError(f"no codes were found that the device can play: {'; '.join(problems)}")
+    circle = replace(problem, scenarios=()) if on_the_circle(problem) else None
+
+    def together(choice: list[ShutterCode]) -> dict[str, Any]:
+        on_circle = None if circle is None else problem.chips * joint_figures(circle, choice).minimum
+        return _figures(joint_figures(problem, choice), on_circle)
+
+    joint, repeated = together(codes), together([single] * frames)
+    each = [problem.measure(code) for code in codes]
+    bits = [code.bits for code in codes]
+    for number, (file, code, metrics) in enumerate(zip(files, codes, each, strict=True), 1):
+        of_frames = {"frame": number, "frames": frames, "bits_of_frames": bits, "joint": joint, "steps": found.steps}
+        write_code(file, StoredCode(code, metrics.to_dict(), {**described, **of_frames}))
+    result = {
+        "files": files,
+        "bits": bits,
+        "frames": frames,
+        "chips": problem.chips,
+        "open": [code.open_chips for code in codes],
+        "chip_ns": chip_ns,
+        **joint,
+        "objective": found.objective,
+        "each": [metrics.to_dict() for metrics in each],
+        "single": {"bits": single.bits, "open": single.open_chips, **repeated},
+        "seconds": found.seconds,
+        "steps": found.steps,
+        "interrupted": interrupted,
+        "seed": seed,
+        "warnings": ["the search was stopped early, these are the best codes so far"] if interrupted else [],
+    }
+
+    def show(console: Console) -> None:
+        for file, code in zip(files, codes, strict=True):
+            console.print(f"{file}: {code.bits}")
+        lowest = "min_mtf" if circle is None else "min_chip"
+        columns = ("frames", "open", "min MTF" if circle is None else "min |P|, chips", "noise gain, dB")
+        rows = [
+            (file.stem, code.open_chips, metrics.in_words(lowest), metrics.in_words("noise_gain_db"))
+            for file, code, metrics in zip(files, codes, each, strict=True)
+        ]
+        for name, light, figures in (
+            ("together", sum(code.open_chips for code in codes), joint),
+            (f"best single code, {frames} times", frames * single.open_chips, repeated),
+        ):
+            noise = figures["noise_gain_db"]
+            rows.append((name, light, figures[lowest], "> 100" if noise is None else noise))
+        console.print(table("on this motion (worse direction where unknown)", columns, rows))
+        console.print(f"together: root of the sum of |H|^2, its minimum as sampled; {found.seconds:.1f} s")
+
+    finish(result, as_json=as_json, show=show)
+
+
+def _search(
+    problem: SearchProblem, frames: int, *, steps: int | None, time_s: float, seed: int
+) -> tuple[ShutterCode, FramesResult, bool]:
+    """Search the best single code, then all frames' from it; whether either was stopped early."""
+    import numpy as np
+
+    from cep.baselines.published import for_chips
+    from cep.search.annealing.anneal import anneal, standard_moves
+    from cep.search.annealing.frames import anneal_frames
+
+    moves = steps or standard_moves(problem)
+    with progress("searching a single code") as tick:
+        single = anneal(
+            problem,
+            rng=np.random.default_rng(seed),
+            steps=moves,
+            time_s=time_s / 2,
+            start=[entry.code for entry in for_chips(problem.chips)],
+            progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"),
+        )
+    with progress(f"searching {frames} codes") as tick:
+        found = anneal_frames(
+            problem,
+            frames,
+            rng=np.random.default_rng([seed, 3]),
+            steps=moves,
+            time_s=time_s / 2,
+            start=[[single.code] * frames],
+            progress=lambda fraction, best: tick(fraction, f"{'+'.join(str(code.open_chips) for code in best)} open"),
+        )
+    return single.code, found, single.interrupted or found.interrupted
+
+
+def _figures(joint: JointFigures, min_chip: float | None) -> dict[str, float | None]:
+    """Joint figures as every command's JSON names a code's; a hopeless noise gain is None."""
+    from cep.mtf import HOPELESS_DB
+
+    noise = joint.noise_gain_db if joint.noise_gain_db <= HOPELESS_DB else None
+    return {"min_mtf": joint.minimum, "min_chip": min_chip, "noise_gain_db": noise}
