@@ -71,6 +71,11 @@ def optimize_frames(
         problems = profile.check(Program.from_bits(code.bits, chip_ns=chip_ns)) if profile else ()
         if problems:
             raise ValueError(f"no codes were found that the device can play: {'; '.join(problems)}")
+    bits = [code.bits for code in codes]
+    described = {**described, "frames": frames, "bits_of_frames": bits, "steps": found.steps}
+    for number, (file, code) in enumerate(zip(files, codes, strict=True), 1):
+        # already: Ctrl-C from here on must not lose them
+        write_code(file, StoredCode(code, problem={**described, "frame": number}))
     circle = replace(problem, scenarios=()) if on_the_circle(problem) else None
 
     def together(choice: list[ShutterCode]) -> dict[str, Any]:
@@ -79,10 +84,8 @@ def optimize_frames(
 
     joint, repeated = together(codes), together([single] * frames)
     each = [problem.measure(code) for code in codes]
-    bits = [code.bits for code in codes]
     for number, (file, code, metrics) in enumerate(zip(files, codes, each, strict=True), 1):
-        of_frames = {"frame": number, "frames": frames, "bits_of_frames": bits, "joint": joint, "steps": found.steps}
-        write_code(file, StoredCode(code, metrics.to_dict(), {**described, **of_frames}))
+        write_code(file, StoredCode(code, metrics.to_dict(), {**described, "frame": number, "joint": joint}))
     result = {
         "files": files,
         "bits": bits,
@@ -142,13 +145,15 @@ def _search(
             start=[entry.code for entry in for_chips(problem.chips)],
             progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"),
         )
+    # Ctrl-C ends both searches; a time limit only the one
+    stopped = single.interrupted and single.seconds < time_s / 2
     with progress(f"searching {frames} codes") as tick:
         found = anneal_frames(
             problem,
             frames,
             rng=np.random.default_rng([seed, 3]),
             steps=moves,
-            time_s=time_s / 2,
+            time_s=1e-9 if stopped else time_s / 2,
             start=[[single.code] * frames],
             progress=lambda fraction, best: tick(fraction, f"{'+'.join(str(code.open_chips) for code in best)} open"),
         )

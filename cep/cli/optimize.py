@@ -82,7 +82,7 @@ def optimize(
         str, typer.Option("--bound", help="quick; or sdp: half a minute for a tighter bound along curved motion.")
     ] = "quick",
     frames: Annotated[
-        int, typer.Option("--frames", min=1, help="Exposures restored together, each with its own code: code_1.json ...")
+        int, typer.Option("--frames", min=1, help="Exposures restored together, each with a code of its own: code_1.json")
     ] = 1,
     time_s: Annotated[float, typer.Option("--time", help="Time limit of the search, s.")] = 60.0,
     steps: Annotated[
