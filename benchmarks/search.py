@@ -62,7 +62,7 @@ def jeon(seconds: float, seed: int) -> None:
         theirs = PUBLISHED[name]
         open_range = (theirs.open_chips, theirs.open_chips)
         problem = SearchProblem(
-            chips=theirs.chips, open_range=open_range, objective=(("min-mtf", 0.15), ("noise", 1.0))
+            chips=theirs.chips, open_range=open_range, objective=(("min-mtf", 0.05), ("noise", 1.0))
         )
         code, took = search(problem, seconds / 4, seed)
         (a, b), (c, d) = figures(theirs), figures(code)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -27,6 +27,8 @@ from cep.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rich.console import Console
 
     from cep.verify.certificates import Verdict
@@ -95,9 +97,12 @@ def audit(
         path = (motion.t.tolist(), motion.xy.tolist()) if stated else None
         verdict = verify(shutter.bits, stored.certificate, path=path)
     is_null = minimum.upper < null_threshold(shutter, where)
-    warnings = [f"the code has a zero at {_place(minimum.at, where is None)}"] if is_null else []
+    has = "has" if minimum.upper == 0 else "nearly has"
+    warnings = [f"the code {has} a zero at {_place(minimum.at, where is None)}"] if is_null else []
     if verdict is not None and not verdict.holds:
         warnings.append(f"{code}: its certificate is not confirmed: {verdict.reasons[-1]}")
+    elif verdict is not None and where is not None and not _covers(stored.certificate, minimum.directions):
+        warnings.append(f"{code}: its certificate does not cover this motion, {' and '.join(minimum.directions)}")
     result = {
         **code_figures(shutter),
         **metrics.to_dict(),
@@ -203,6 +208,11 @@ def mtf(
 def _place(at: tuple[float, ...], in_chips: bool) -> str:
     where = ", ".join(f"{value:.5f}" for value in at)
     return f"{where} cycles per chip" if in_chips else f"({where}) cycles/px"
+
+
+def _covers(certificate: Mapping[str, Any], directions: tuple[str, ...]) -> bool:
+    """Whether a certificate of |H| is about all these ways along its path."""
+    return certificate["unit"] == "light-true" and set(directions) <= set(certificate.get("directions", directions))
 
 
 def _in_words(verdict: Verdict) -> str:

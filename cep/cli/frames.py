@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from cep.code import ShutterCode
-    from cep.search.annealing.frames import FramesResult, JointFigures
+    from cep.search.annealing.frames import FramesResult
+    from cep.search.annealing.joint import JointFigures
     from cep.search.problem import SearchProblem
     from hw.device import DeviceProfile
 
@@ -48,7 +49,7 @@ def optimize_frames(
     profile : DeviceProfile, optional
         That must be able to play every code.
     chip_ns, steps, time_s, seed, output, force, as_json
-        As the command's options; half the time is for the single code.
+        As the command's options; at most half the time goes to the single code.
 
     Raises
     ------
@@ -60,7 +61,7 @@ def optimize_frames(
     from cep.cli.search_options import on_the_circle
     from cep.files import StoredCode, write_code
     from cep.outputs import claim
-    from cep.search.annealing.frames import joint_figures
+    from cep.search.annealing.joint import joint_figures
     from hw.program import Program
 
     files = [output.with_name(f"{output.stem}_{number}{output.suffix}") for number in range(1, frames + 1)]
@@ -153,7 +154,7 @@ def _search(
             frames,
             rng=np.random.default_rng([seed, 3]),
             steps=moves,
-            time_s=1e-9 if stopped else time_s / 2,
+            time_s=1e-9 if stopped else max(time_s / 2, time_s - single.seconds),
             start=[[single.code] * frames],
             progress=lambda fraction, best: tick(fraction, f"{'+'.join(str(code.open_chips) for code in best)} open"),
         )

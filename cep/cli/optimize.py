@@ -82,9 +82,9 @@ def optimize(
         str, typer.Option("--bound", help="quick; or sdp: half a minute for a tighter bound along curved motion.")
     ] = "quick",
     frames: Annotated[
-        int, typer.Option("--frames", min=1, help="Exposures restored together, each with a code of its own: code_1.json")
+        int, typer.Option("--frames", min=1, help="Exposures restored together, each with its own code: code_1.json")
     ] = 1,
-    time_s: Annotated[float, typer.Option("--time", help="Time limit of the search, s.")] = 60.0,
+    time_s: Annotated[float, typer.Option("--time", help="Time limit, s; a proof runs to its end.")] = 60.0,
     steps: Annotated[
         int | None,
         typer.Option(
@@ -101,7 +101,8 @@ def optimize(
     Of the JSON fields, bound says what no code of so much light can exceed: min_chip for a uniform straight motion,
     else min_mtf, or with --objective noise the noise gain that none can fall below. gap says how far off this code is,
     0..1, or in dB for the noise. They are null for other objectives. Noise gains above 100 dB, those of codes with a
-    zero, are null too. The certificate proves the minimum; cep audit code.json checks it again.
+    zero, are null too. The certificate proves the minimum; cep audit code.json checks it again. proven says that no
+    code is better: over the whole unit circle, or, unless one straight motion is all there is, at the band's samples.
 
     Example: cep optimize --trajectory motion/trajectory.json --chips 40 --duty 0.4:0.6 -o code.json
 
@@ -218,7 +219,7 @@ def optimize(
             f"{certificate['lower']:.6g}..{certificate['upper']:.6g} ({certificate['method']})"
         )
         if result["proven"]:
-            console.print("proven: no code within the limits is better")
+            console.print(f"proven: no code within the limits is better on {found['proof']['domain']}")
         elif limit is not None:
             console.print(f"{figure}: no code with so many open chips can do better than {limit:.4g}")
 
@@ -236,9 +237,10 @@ def _search(problem: SearchProblem, *, method: str, steps: int | None, time_s: f
     if method == "exact":
         with progress(f"counting {codes_to_count(problem):.2g} codes") as tick:
             proven = exact(problem, progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"))
+        unit = 1 if problem.scenarios else problem.chips  # |P| counts chips, the objective is light-true
         return {
             "code": proven.code,
-            "objective": -20 * float(np.log10(max(proven.minimum.upper, 1e-300))),
+            "objective": -20 * float(np.log10(max(proven.minimum.upper / unit, 1e-300))),
             "steps": codes_to_count(problem),
             "seconds": proven.seconds,
             "interrupted": not proven.proven,

@@ -326,6 +326,16 @@ def test_a_shutter_with_ramps_is_bounded_by_its_light():
         relaxed_minimum(problem, 3)
 
 
+@pytest.mark.parametrize("opened", [1, 3, 6, 7])
+def test_every_pulse_has_one_tail(opened):
+    lingering = ShutterResponse(chip_ns=1000, on_bias_ns=300, fall_ns=400)
+    problem = SearchProblem.along(
+        Trajectory.straight(3.0), chips=7, open_range=(opened, opened), response=lingering, objective="noise"
+    )
+    most = lingering.open_time(all_codes(7, [opened])).max()
+    assert bound(problem).noise == pytest.approx(-20 * np.log10(most), abs=1e-9)
+
+
 def test_bad_arguments_are_named():
     with pytest.raises(ValueError, match='effort: must be "quick" or "sdp"'):
         bound(SearchProblem(chips=5), effort="deep")

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cep.code import ShutterCode
@@ -14,10 +15,25 @@ def test_exact_proves_the_best_and_audit_confirms_it(cep, workplace):
     assert found["proven"]
     assert found["bits"] == "1111100110101"  # the Barker-13 code: docs/optima.md
     assert found["min_chip"] == pytest.approx(1.362373, abs=1e-5)
+    # light-true, as that of the annealing
+    assert found["objective"] == pytest.approx(-20 * np.log10(found["min_chip"] / 13), abs=1e-5)
     stored = read_code("best.json")
     assert stored.problem["proof"]["bits"]
     audited = cep.succeeds("audit", "best.json")
     assert audited["verified"]["holds"]
+
+
+def test_a_bound_of_zero_has_no_gap(cep, workplace):
+    # P(-1) = 0 with both of two chips open
+    found = cep.succeeds("optimize", "--linear", "4", "--chips", "2", "--open", "2", "--steps", "100", "-o", "two.json")
+    assert (found["bits"], found["min_chip"], found["bound"], found["gap"]) == ("11", 0.0, 0.0, 0.0)
+
+
+def test_a_proof_says_over_which_frequencies(cep, workplace):
+    options = ("optimize", "--linear", "12", "--chips", "10", "--method", "exact", "--force", "-o", "new.json")
+    assert "better on the unit circle" in cep(*options).out
+    # along several motions only the samples are counted out: the continuum may rank the codes otherwise
+    assert "band samples" in cep(*options, "--speed", "0.9:1.1").out
 
 
 def test_a_forged_certificate_is_found_out(cep, workplace):
@@ -28,6 +44,14 @@ def test_a_forged_certificate_is_found_out(cep, workplace):
     Path("forged.json").write_text(json.dumps(document))
     audited = cep.succeeds("audit", "forged.json")
     assert not audited["verified"]["holds"]
+
+
+def test_a_certificate_of_one_way_does_not_cover_both(cep, workplace):
+    options = ("--trajectory", "trajectory.json", "--chips", "8", "--steps", "500", "--direction", "forward")
+    cep.succeeds("optimize", *options, "-o", "new.json")
+    audited = cep.succeeds("audit", "new.json", "--trajectory", "trajectory.json")
+    assert audited["verified"]["holds"]
+    assert any("does not cover this motion, forward and backward" in line for line in audited["warnings"])
 
 
 def test_forced_chips_are_kept(cep, workplace):

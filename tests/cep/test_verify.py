@@ -216,6 +216,41 @@ def test_nonsense_is_refused(change):
     assert not verify("", CHIPS).holds
 
 
+def test_other_dwell_times_are_another_path():
+    t = np.linspace(0, 1, 3)
+    xy = np.array([[-4.0, 0.0], [0.0, 0.0], [4.0, 0.0]])
+    even = Trajectory(t, xy, "known")
+    certificate = stored(certify(CURVED_CODE, even))
+    assert verify(CURVED_CODE.bits, certificate, path=(t, xy)).holds
+    assert not verify(CURVED_CODE.bits, certificate, path=([0.0, 0.4, 1.0], xy)).holds
+
+
+def test_each_direction_is_looked_at_in_full():
+    """Forward the shutter sees a straight stretch, whose |H| depends on one frequency, and backward a bend."""
+    straight, bend = np.linspace(0, 8, 11), 2 * np.linspace(0, 1, 11)[1:]
+    xy = np.concatenate([
+        np.stack([straight, 0 * straight], axis=1),
+        np.stack([8 + 4 * np.sin(bend), 5 * (1 - np.cos(bend))], axis=1),
+    ])  # fmt: skip
+    path, code = Trajectory.from_samples(xy), ShutterCode("1101000000")
+    honest = stored(certify(code, path))
+    assert (honest["direction"], honest["upper"]) == ("backward", 0.0)
+    one_way = stored(certify(code, replace(path, direction="known")))
+    assert one_way["lower"] > 0.01
+    assert verify(code.bits, one_way).holds
+    assert not verify(code.bits, one_way | {"directions": list(BOTH)}).holds
+
+
+@pytest.mark.parametrize("angle", [0.3, 0.64, 2.2, -0.9])
+def test_an_oblique_path_of_changing_speed_is_confirmed(angle):
+    """The lowest frequency along it may lie farther out than the band's sides: another on the same line is named."""
+    along = 20 * np.linspace(0, 1, 40) ** 2
+    path = Trajectory.from_samples(np.outer(along, [np.cos(angle), np.sin(angle)]))
+    for bits in ("1" * 20, "1101000101"):
+        certificate = confirmed(ShutterCode(bits), path)
+        assert np.abs(certificate.at).max() <= 0.5
+
+
 def test_giving_up_is_no_confirmation():
     verdict = verify(CURVED_CODE.bits, CURVED, budget=10)
     assert not verdict.holds

@@ -24,13 +24,14 @@ Codes = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
 _SEARCH_OVERSAMPLING = 8  # coarse: the polish judges on 64 and the continuum
 _HOT_DB = {"min-mtf": 0.8, "noise": 0.3, "flatness": 0.1, "mse": 0.1}  # as their single moves differ: docs/decisions.md
-_HOT_CHIPS = 52
+_HOT_CHIPS, _HOTTEST = 52, 4.0  # these temperatures are for so many chips; fewer are at most so much hotter
 _COOLING = 3.0  # hottest over coldest
 _CHAINS = 8  # of a round: enough for most machines' cores, and the outcome must not depend on their number
-_WALKS_STRAIGHT, _WALKS_CURVED = 6, 2  # chains of later rounds that walk instead
-_MOST_SWAPS = 2**14  # of a code whose every neighbour can be looked at in each step
+_WALKS_STRAIGHT, _WALKS_OTHERS = 6, 2  # chains of later rounds that walk instead
+_SHORT = 64  # chips to which walks are worth more than cooling on straight motion
+_MOST_SWAPS = 2**12  # of a code whose every neighbour is worth a look in each step: to 128 chips
 _REHEATED = 0.6
-_SHORTEST, _LONGEST = 2**15, 2**21  # moves of a chain in the first and the last rounds
+_SHORTEST, _LONGEST = 2**15, 2**22  # moves of a chain in the first and the last rounds
 _ELITES = 32
 _POOL = 8  # of the best, from which walks start
 _STANDARD_WORK = 2**33  # moves times frequencies after which more rarely find a better code
@@ -205,7 +206,7 @@ def hottest_db(problem: SearchProblem) -> float:
     """Temperature, dB, at which a chain from anywhere starts."""
     hot = sum(weight * _HOT_DB[name] for name, weight in problem.objective_mix)
     # the more chips, the less a move changes
-    return float(hot * min(1.0, (_HOT_CHIPS / problem.chips) ** 1.5))
+    return float(hot * min(_HOTTEST, (_HOT_CHIPS / problem.chips) ** 1.5))
 
 
 def _crews(problem: SearchProblem, coarse: Objective, free: NDArray[np.intp], threads: int | None) -> list[Crew]:
@@ -213,7 +214,7 @@ def _crews(problem: SearchProblem, coarse: Objective, free: NDArray[np.intp], th
     parts = [replace(problem, objective=name) for name, _ in problem.objective_mix]
     if len(parts) == 1:
         return [Crew(problem, lay_out(coarse), free, threads=threads)]
-    objectives = [coarse, *(Objective(part, oversampling=_SEARCH_OVERSAMPLING) for part in parts)]
+    objectives = [*(Objective(part, oversampling=_SEARCH_OVERSAMPLING) for part in parts), coarse]
     return [Crew(one.problem, lay_out(one), free, threads=threads) for one in objectives]
 
 
@@ -225,7 +226,7 @@ def _plans(
     walks = 0
     if not (first or has_run_limits(problem) or problem.chips**2 // 4 > _MOST_SWAPS):
         straight = all(straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios)
-        walks = _WALKS_STRAIGHT if straight else _WALKS_CURVED
+        walks = _WALKS_STRAIGHT if straight and problem.chips <= _SHORT else _WALKS_OTHERS
     cooled = _CHAINS - walks
     codes = problem.random_codes(cooled, rng=rng).astype(np.int8)
     best = elites.ranked()

@@ -1,8 +1,6 @@
 """Codes of several exposures of one scene, searched together: where one of them is blind, another one sees.
 
-Frames taken along the same motion, each with its own code, are restored jointly: the inverse sees the sum of their
-|H|^2, so all that a single code does with |H| they do with the root of that sum. Their common noise gain is
-``10 log10 mean 1 / sum |H|^2``, and under the camera's noise the sum stands over the noise of a frame of mean light.
+What is searched is in :mod:`cep.search.annealing.joint`.
 
 References
 ----------
@@ -16,52 +14,32 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.band import straight_axis
 from cep.code import ShutterCode
 from cep.search.annealing.anneal import Budget, hottest_db
 from cep.search.annealing.cooling import Chain, cool
-from cep.search.annealing.polish import neighbours
+from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables, polish_jointly
 from cep.search.annealing.proposals import Limits
 from cep.search.annealing.states import fresh_otf, total_cost, worst_first
-from cep.search.annealing.tables import lay_out, limits_of
+from cep.search.annealing.tables import limits_of
 from cep.search.annealing.terms import BLOCK, Tables
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
-__all__ = ["FramesResult", "JointFigures", "anneal_frames", "joint_cost", "joint_figures"]
+__all__ = ["FramesResult", "anneal_frames"]
 
 Codes = NDArray[np.int8]
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float, tuple[ShutterCode, ...]], None]
-_OVERSAMPLING, _FINE = 8, 64
+_OVERSAMPLING = 8
 _CHAINS = 8
 _COOLING = 3.0  # hottest over coldest
 _REHEATED = 0.6
 _SLICE, _VISIT = 4096, 256  # moves until the OTF is summed anew, and in one frame until the next one has its turn
 _ELITES = 16
-_BATCH = 2**21  # numbers evaluated at once: 16 MB
-_MOST_WORK = 2**37  # multiplications for all swaps of a frame; beyond, the polish leaves them out
-_ZERO_POWER = 1e-24  # smaller is rounding
-
-
-class JointFigures(NamedTuple):
-    """What frames are worth together, light-true, the worst over a problem's scenarios and directions.
-
-    Attributes
-    ----------
-    minimum : float
-        Smallest root of sum |H|^2 on the fine grid of frequencies: sampled, unlike a single code's proven minimum.
-    noise_gain_db : float
-        ``10 log10 mean 1 / sum |H|^2``; infinite when a sample falls on a common zero.
-    """
-
-    minimum: float
-    noise_gain_db: float
 
 
 @dataclass(frozen=True)
@@ -73,9 +51,9 @@ class FramesResult:
     codes : tuple of ShutterCode
         One for each frame.
     objective : float
-        Joint cost in dB on the fine grid, lower is better; see :func:`joint_cost`.
+        Joint cost in dB on the fine grid, lower is better; see :func:`cep.search.annealing.joint.joint_cost`.
     minimum, noise_gain_db : float
-        As :class:`JointFigures` has them; the minimum is sampled.
+        As :class:`cep.search.annealing.joint.JointFigures` has them; the minimum is sampled.
     seconds : float
     steps : int
         Moves tried.
@@ -90,34 +68,6 @@ class FramesResult:
     seconds: float
     steps: int
     interrupted: bool
-
-
-def joint_cost(objective: Objective, codes: NDArray[Any]) -> FloatArray:
-    """Cost, dB, of frames restored together: of the root of sum |H|^2, in frames of their mean light.
-
-    Parameters
-    ----------
-    objective : Objective
-    codes : (R, M, n) array
-        R choices of M codes.
-
-    Returns
-    -------
-    (R,) float
-    """
-    power = sum(_power(objective, codes[:, frame]) for frame in range(codes.shape[1]))
-    duty = np.mean([objective.duty(codes[:, frame]) for frame in range(codes.shape[1])], axis=0)
-    return _cost_of_power(objective, np.asarray(power), duty)
-
-
-def joint_figures(problem: SearchProblem, codes: Sequence[ShutterCode]) -> JointFigures:
-    """Measure frames restored together on the fine grid; M times the same code gain 10 log10 M dB over one."""
-    fine = Objective(problem, oversampling=_FINE, dtype=np.float64)
-    power = _power(fine, np.stack([code.array for code in codes])).sum(axis=0)
-    power = np.where(power < _ZERO_POWER, 0.0, power)
-    with np.errstate(divide="ignore"):
-        noise = max(float(part.samples.weight @ (1 / power[part.columns])) for part in fine.parts)
-    return JointFigures(float(np.sqrt(power.min())), float(10 * np.log10(noise)))
 
 
 def anneal_frames(
@@ -184,14 +134,13 @@ def anneal_frames(
             interrupted = steps is not None and budget.done < steps
     except KeyboardInterrupt:
         interrupted = True
-    fine = Objective(problem, oversampling=_FINE, dtype=np.float64)
     ranked = elites.ranked(frames)
     try:
-        best = _polish(fine, ranked)
+        best = polish_jointly(problem, ranked)
     except KeyboardInterrupt:
         interrupted, best = True, ranked[0]
     codes = _as_codes(best)
-    cost = float(joint_cost(fine, best[None])[0])
+    cost = float(joint_cost(Objective(problem, oversampling=64, dtype=np.float64), best[None])[0])
     return FramesResult(codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.done, interrupted)
 
 
@@ -223,15 +172,7 @@ class _Joint:
 
     @classmethod
     def of(cls, coarse: Objective, frames: int, free: NDArray[np.intp]) -> _Joint:
-        problem, tables = coarse.problem, lay_out(coarse)
-        mean_open = np.arange(frames * problem.chips + 1) / frames
-        light = np.ones((len(tables.kinds), mean_open.size), np.float32)
-        for o, (name, _) in enumerate(problem.objective_mix):
-            if name == "flatness":
-                light[o, 1:] = mean_open[1:] ** -2.0
-            elif name == "mse":
-                light[o] = 1 / np.interp(mean_open, np.arange(problem.chips + 1), coarse.noise)
-        tables = tables._replace(rows=np.tile(tables.rows, (frames, 1, 1, 1, 1)), light=light)
+        problem, tables = coarse.problem, joint_tables(coarse, frames)
         return cls(problem, frames, tables, limits_of(problem), free.astype(np.int64))
 
     def chain(self, codes: Codes, seed: int) -> tuple[Tables, Chain]:
@@ -278,8 +219,8 @@ def _round(
     drawn = joint.problem.random_codes(_CHAINS * joint.frames, rng=rng).astype(np.int8)
     codes = [*best[:kept], *drawn.reshape(_CHAINS, joint.frames, -1)[kept:]]
     runs = [joint.chain(one, int(rng.integers(1, 2**62))) for one in codes]
-    # a move in one of the frames changes less
-    hot = hottest_db(joint.problem) / joint.frames
+    # a move in one frame changes a sum of so many less, and colder still found better codes
+    hot = hottest_db(joint.problem) / joint.frames**2
     heats = [hot * (_REHEATED if round_number and index < kept else 1.0) for index in range(_CHAINS)]
     moves = budget.chain(round_number)
     try:
@@ -301,47 +242,6 @@ def _round(
             # the deepest is only kept for the minimum's objective
             found = [chain.best, chain.deepest] if chain.cost[2] > 0 else [chain.best]
             elites.offer(np.stack(found).reshape(len(found), joint.frames, -1))
-
-
-def _polish(fine: Objective, ranked: Codes) -> Codes:
-    """Climb on the fine grid from the best of (R, M, n) codes, over flips and swaps within each frame."""
-    curved = any(straight_axis(scenario.trajectory) is None for scenario in fine.problem.scenarios)
-    costs = np.concatenate([joint_cost(fine, codes[None]) for codes in ranked])
-    leaders = np.argsort(costs, kind="stable")[: 1 if curved else 4]
-    climbed = [_climb(fine, ranked[leader].copy(), float(costs[leader])) for leader in leaders]
-    return min(climbed, key=lambda pair: pair[0])[1]
-
-
-def _climb(fine: Objective, codes: Codes, cost: float) -> tuple[float, Codes]:
-    frames, chips = codes.shape
-    step = max(1, _BATCH // fine.rows[0].size)
-    swaps = chips**2 // 4 * fine.rows[0].size * chips <= _MOST_WORK
-    stuck = frame = 0
-    while stuck < frames:
-        others = np.delete(codes, frame, axis=0)
-        power, duty = _power(fine, others).sum(axis=0), fine.duty(others).sum()
-        near = neighbours(fine.problem, codes[frame], swaps=swaps)
-        batches = [near[first : first + step] for first in range(0, len(near), step)]
-        judged = [
-            _cost_of_power(fine, _power(fine, batch) + power, (fine.duty(batch) + duty) / frames) for batch in batches
-        ]
-        found = np.concatenate(judged) if judged else np.array([np.inf])
-        best = int(found.argmin())
-        if found[best] < cost - 1e-9:
-            cost, codes[frame], stuck = float(found[best]), near[best], 0
-        else:
-            frame, stuck = (frame + 1) % frames, stuck + 1
-    return cost, codes
-
-
-def _power(objective: Objective, codes: NDArray[Any]) -> NDArray[Any]:
-    """|H|^2, (R, F), of (R, n) codes."""
-    return np.asarray((objective.otf(codes) ** 2).sum(axis=1))
-
-
-def _cost_of_power(objective: Objective, power: NDArray[Any], duty: FloatArray) -> FloatArray:
-    root = np.sqrt(power)
-    return objective.cost(np.stack([root, np.zeros_like(root)], axis=1), duty)
 
 
 def _as_codes(codes: Codes) -> tuple[ShutterCode, ...]:

@@ -179,9 +179,10 @@ def _light(problem: SearchProblem, counts: NDArray[np.intp]) -> FloatArray:
         basis, _, tail = chip_parts(
             scenario.trajectory, problem.chips, 0.0, 0.0, response=problem.response, edges=scenario.edges
         )
-        # what opening takes away and what a next chip shares is left out: it only lowers the light
-        each = np.sort(basis.real + tail.real)[::-1].cumsum()[counts - 1]
-        most = np.minimum(most, each)
+        # what opening takes away is left out: it only lowers the light; and each pulse has one tail
+        pulses = np.minimum(counts, problem.chips - counts + 1)
+        chips, tails = (np.sort(each.real)[::-1].cumsum() for each in (basis, tail))
+        most = np.minimum(most, chips[counts - 1] + tails[pulses - 1])
     return np.asarray(most * (1 + 1e-12), dtype=np.float64)
 
 

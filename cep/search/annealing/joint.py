@@ -1,0 +1,133 @@
+"""Frames of one scene restored together: cost, figures and polish of their codes.
+
+Frames taken along the same motion, each with its own code, are restored jointly: the inverse sees the sum of their
+|H|^2, so all that a single code does with |H| they do with the root of that sum. Their common noise gain is
+``10 log10 mean 1 / sum |H|^2``, and under the camera's noise the sum stands over the noise of a frame of mean light.
+
+References
+----------
+Agrawal, Xu and Raskar, "Invertible motion blur in video", SIGGRAPH 2009: exposures whose joint transform has no null.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.band import straight_axis
+from cep.code import ShutterCode
+from cep.search.annealing.polish import neighbours
+from cep.search.annealing.tables import lay_out
+from cep.search.annealing.terms import Tables
+from cep.search.objective import Objective
+from cep.search.problem import SearchProblem
+
+__all__ = ["JointFigures", "joint_cost", "joint_figures", "joint_tables", "polish_jointly"]
+
+Codes = NDArray[np.int8]
+FloatArray = NDArray[np.float64]
+_FINE = 64
+_BATCH = 2**21  # numbers evaluated at once: 16 MB
+_MOST_WORK = 2**37  # multiplications for all swaps of a frame; beyond, the polish leaves them out
+_ZERO_POWER = 1e-24  # smaller is rounding
+
+
+class JointFigures(NamedTuple):
+    """What frames are worth together, light-true, the worst over a problem's scenarios and directions.
+
+    Attributes
+    ----------
+    minimum : float
+        Smallest root of sum |H|^2 on the fine grid of frequencies: sampled, unlike a single code's proven minimum.
+    noise_gain_db : float
+        ``10 log10 mean 1 / sum |H|^2``; infinite when a sample falls on a common zero.
+    """
+
+    minimum: float
+    noise_gain_db: float
+
+
+def joint_cost(objective: Objective, codes: NDArray[Any]) -> FloatArray:
+    """Cost, dB, of frames restored together: of the root of sum |H|^2, in frames of their mean light.
+
+    Parameters
+    ----------
+    objective : Objective
+    codes : (R, M, n) array
+        R choices of M codes.
+
+    Returns
+    -------
+    (R,) float
+    """
+    power = sum(_power(objective, codes[:, frame]) for frame in range(codes.shape[1]))
+    duty = np.mean([objective.duty(codes[:, frame]) for frame in range(codes.shape[1])], axis=0)
+    return _cost_of_power(objective, np.asarray(power), duty)
+
+
+def joint_figures(problem: SearchProblem, codes: Sequence[ShutterCode]) -> JointFigures:
+    """Measure frames restored together on the fine grid; M times the same code gain 10 log10 M dB over one."""
+    fine = Objective(problem, oversampling=_FINE, dtype=np.float64)
+    power = _power(fine, np.stack([code.array for code in codes])).sum(axis=0)
+    power = np.where(power < _ZERO_POWER, 0.0, power)
+    with np.errstate(divide="ignore"):
+        noise = max(float(part.samples.weight @ (1 / power[part.columns])) for part in fine.parts)
+    return JointFigures(float(np.sqrt(power.min())), float(10 * np.log10(noise)))
+
+
+def joint_tables(objective: Objective, frames: int) -> Tables:
+    """Lay a problem out for the compiled loops, whose code is then all frames' chips in a row."""
+    chips, tables = objective.problem.chips, lay_out(objective)
+    mean_open = np.arange(frames * chips + 1) / frames
+    light = np.ones((len(tables.kinds), mean_open.size), np.float32)
+    for o, (name, _) in enumerate(objective.problem.objective_mix):
+        if name == "flatness":
+            light[o, 1:] = mean_open[1:] ** -2.0
+        elif name == "mse":
+            light[o] = 1 / np.interp(mean_open, np.arange(chips + 1), objective.noise)
+    return tables._replace(rows=np.tile(tables.rows, (frames, 1, 1, 1, 1)), light=light)
+
+
+def polish_jointly(problem: SearchProblem, ranked: Codes) -> Codes:
+    """Climb on the fine grid from the best of (R, M, n) codes, over flips and swaps within each frame; (M, n)."""
+    fine = Objective(problem, oversampling=_FINE, dtype=np.float64)
+    curved = any(straight_axis(scenario.trajectory) is None for scenario in problem.scenarios)
+    costs = np.concatenate([joint_cost(fine, codes[None]) for codes in ranked])
+    leaders = np.argsort(costs, kind="stable")[: 1 if curved else 4]
+    climbed = [_climb(fine, ranked[leader].copy(), float(costs[leader])) for leader in leaders]
+    return min(climbed, key=lambda pair: pair[0])[1]
+
+
+def _climb(fine: Objective, codes: Codes, cost: float) -> tuple[float, Codes]:
+    frames, chips = codes.shape
+    step = max(1, _BATCH // fine.rows[0].size)
+    swaps = chips**2 // 4 * fine.rows[0].size * chips <= _MOST_WORK
+    stuck = frame = 0
+    while stuck < frames:
+        others = np.delete(codes, frame, axis=0)
+        power, duty = _power(fine, others).sum(axis=0), fine.duty(others).sum()
+        near = neighbours(fine.problem, codes[frame], swaps=swaps)
+        batches = [near[first : first + step] for first in range(0, len(near), step)]
+        judged = [
+            _cost_of_power(fine, _power(fine, batch) + power, (fine.duty(batch) + duty) / frames) for batch in batches
+        ]
+        found = np.concatenate(judged) if judged else np.array([np.inf])
+        best = int(found.argmin())
+        if found[best] < cost - 1e-9:
+            cost, codes[frame], stuck = float(found[best]), near[best], 0
+        else:
+            frame, stuck = (frame + 1) % frames, stuck + 1
+    return cost, codes
+
+
+def _power(objective: Objective, codes: NDArray[Any]) -> NDArray[Any]:
+    """|H|^2, (R, F), of (R, n) codes."""
+    return np.asarray((objective.otf(codes) ** 2).sum(axis=1))
+
+
+def _cost_of_power(objective: Objective, power: NDArray[Any], duty: FloatArray) -> FloatArray:
+    root = np.sqrt(power)
+    return objective.cost(np.stack([root, np.zeros_like(root)], axis=1), duty)
