@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.band import band, band_samples
-from cep.certify.certificate import certify
-from cep.certify.minimum import Minimum, min_chip, mtf_minimum
+from cep.certify.minimum import min_chip, mtf_minimum
 from cep.certify.zeros import Zeros, zeros_along, zeros_of_code
 from cep.code import ShutterCode
 from cep.compiled import compiled
@@ -21,7 +20,6 @@ __all__ = [
     "Neighbour",
     "better_neighbours",
     "grid_claims",
-    "minimum_along",
     "null_threshold",
     "zeros_by_direction",
 ]
@@ -72,12 +70,6 @@ class GridClaim:
     points: int
     minimum: float
     verdict: str
-
-
-def minimum_along(code: ShutterCode, trajectory: Trajectory | None) -> Minimum:
-    """Bounds of the minimum: |P| over the circle in chips without a trajectory, else |H| for the worse direction."""
-    found = certify(code, trajectory)
-    return Minimum(found.lower, found.upper, found.at, found.method, found.zero)
 
 
 def null_threshold(code: ShutterCode, trajectory: Trajectory | None) -> float:

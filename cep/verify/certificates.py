@@ -70,7 +70,7 @@ def verify(
         _check(bits, certificate, path, budget, reasons)
     except RefusedError as refusal:
         return Verdict(False, (*reasons, str(refusal)))
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         return Verdict(False, (*reasons, f"the certificate cannot be read ({type(error).__name__}: {error})"))
     return Verdict(True, tuple(reasons))
 

@@ -37,7 +37,8 @@ def zero_holds(bits: str, zero: Mapping[str, Any], at: FloatArray, lines: Lines,
     if kind == "root of unity":
         order = int(zero["order"])
         turn = round(turns * order)
-        if order < 2 or abs(turns - turn / order) > 1e-9 or gcd(turn, order) != 1:
+        # beyond six times the degree a cyclotomic polynomial is longer than the code's
+        if not 2 <= order <= 6 * len(bits) or abs(turns - turn / order) > 1e-9 or gcd(turn, order) != 1:
             raise RefusedError(f"{named(at)} is no primitive root of unity of order {order}")
         if any(_remainder([int(bit) for bit in bits], _cyclotomic(order))):
             raise RefusedError(f"the polynomial does not vanish at the roots of unity of order {order}")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.audit import better_neighbours, grid_claims, minimum_along, null_threshold, zeros_by_direction
+from cep.audit import better_neighbours, grid_claims, null_threshold, zeros_by_direction
 from cep.baselines.published import CLAIMS, PUBLISHED
 from cep.certify.certificate import certify
 from cep.certify.minimum import min_chip
@@ -46,7 +46,7 @@ def test_the_best_code_has_no_better_neighbour():
 
 
 def test_an_open_shutter_has_zeros_at_multiples_of_one_over_its_length():
-    found = minimum_along(ShutterCode("1" * 8), None)
+    found = certify(ShutterCode("1" * 8), None)
     assert found.upper < null_threshold(ShutterCode("1" * 8), None)
     assert found.at[0] * 8 == pytest.approx(round(found.at[0] * 8), abs=1e-6)
 
@@ -55,7 +55,7 @@ def test_an_open_shutter_has_zeros_at_multiples_of_one_over_its_length():
 def test_the_minimum_along_a_path_counts_the_worse_direction(direction):
     path = Trajectory(BENT.t, BENT.xy, direction)
     code = ShutterCode("110100")
-    found = minimum_along(code, path)
+    found = certify(code, path)
     line = np.linspace(-0.5, 0.5, 201)
     fx, fy = np.meshgrid(line, line)
     paths = [path] if direction == "known" else [path, path.reversed()]
@@ -68,7 +68,7 @@ def test_neighbours_along_a_path_are_better_there():
     known = Trajectory(BENT.t, BENT.xy, "known")
     code = ShutterCode("111111")
     for neighbour in better_neighbours(code, known, flips=2):
-        assert neighbour.minimum > minimum_along(code, known).upper
+        assert neighbour.minimum > certify(code, known).upper
 
 
 def test_three_flips_of_a_known_code():
@@ -89,9 +89,9 @@ def test_keeping_more_neighbours():
 def test_neighbours_on_a_curve_against_brute_force():
     path = Trajectory.from_samples([[0, 0], [1.5, 0.3], [2.2, 1.2]])
     bits = "110010"
-    here = minimum_along(ShutterCode(bits), path).upper
+    here = certify(ShutterCode(bits), path).upper
     every = [flipped(bits, places) for places in combinations(range(6), 2)]
-    best = max((minimum_along(ShutterCode(b), path).upper, b) for b in every if "1" in b)
+    best = max((certify(ShutterCode(b), path).upper, b) for b in every if "1" in b)
     (found,) = (n for n in better_neighbours(ShutterCode(bits), path, flips=2) if len(n.flips) == 2)
     assert best[0] > here
     assert found.minimum == pytest.approx(best[0], rel=1e-3)
@@ -100,7 +100,7 @@ def test_neighbours_on_a_curve_against_brute_force():
 @pytest.mark.parametrize(("name", "points"), [(name, claim[0]) for name, claim in CLAIMS.items()])
 def test_grids_are_called_what_they_are(name, points):
     code = PUBLISHED[name]
-    truth = minimum_along(code, None).upper
+    truth = certify(code, None).upper
     claims = {claim.points: claim for claim in grid_claims(code, None, truth)}
     assert list(claims) == sorted(claims)
     for claim in claims.values():
@@ -115,7 +115,7 @@ def test_grids_along_a_path():
     # the open shutter's zeros at multiples of 1/32 lie on these grids; those of 31 px lie between
     assert {c.verdict for c in grid_claims(ShutterCode("1"), Trajectory.straight(32.0), 0.0)} == {"honest"}
     bent = Trajectory.from_samples([[0, 0], [14, 3], [31, 5]])
-    truth = minimum_along(ShutterCode("1101"), bent)
+    truth = certify(ShutterCode("1101"), bent)
     assert truth.upper == 0
     assert "hides the zero" in {c.verdict for c in grid_claims(ShutterCode("1101"), bent, 0.0)}
 

@@ -251,6 +251,13 @@ def test_an_oblique_path_of_changing_speed_is_confirmed(angle):
         assert np.abs(certificate.at).max() <= 0.5
 
 
+@pytest.mark.parametrize(
+    "zero", [5, "root", {"kind": "root of unity", "order": 10**12 + 39}, {"kind": "root of unity", "order": 1e400}]
+)
+def test_a_proof_that_makes_no_sense_is_refused_at_once(zero):
+    assert not verify(PUBLISHED["merl-31-t62"].bits, NULL | {"zero": zero}).holds
+
+
 def test_giving_up_is_no_confirmation():
     verdict = verify(CURVED_CODE.bits, CURVED, budget=10)
     assert not verdict.holds
