@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cep.cli.console import finish, progress, table
+from cep.cli.console import finish, table
 from cep.cli.frames import optimize_frames
 from cep.cli.options import (
     CameraFile,
@@ -23,11 +23,10 @@ from cep.cli.options import (
     load_motion,
 )
 from cep.cli.search_options import Wish, on_the_circle, problem_of
+from cep.cli.searching import bounded, search, warnings_of
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from cep.search.problem import SearchProblem
 
 __all__ = ["optimize"]
 
@@ -42,7 +41,10 @@ def optimize(
     duty: Annotated[str | None, typer.Option("--duty", help="Open fraction of the time, LOW:HIGH, 0..1.")] = None,
     objective: Annotated[
         str | None,
-        typer.Option("--objective", help="min-mtf, flatness, noise or mse; mse, or min-mtf for straight motion."),
+        typer.Option(
+            "--objective",
+            help="min-mtf, flatness, noise or mse, or a mix as min-mtf:0.15,noise:1; mse, or min-mtf where straight.",
+        ),
     ] = None,
     direction: Annotated[
         str, typer.Option("--direction", help="unknown (both ways count), forward, or auto: as the file says.")
@@ -79,7 +81,11 @@ def optimize(
         str, typer.Option("--method", help="anneal; or exact, which proves the best min-mtf, to about 40 chips.")
     ] = "anneal",
     effort: Annotated[
-        str, typer.Option("--bound", help="quick; or sdp: half a minute for a tighter bound along curved motion.")
+        str,
+        typer.Option(
+            "--bound",
+            help="quick; or sdp: half a minute for a tighter bound, and starts drawn from it, along curved motion.",
+        ),
     ] = "quick",
     frames: Annotated[
         int, typer.Option("--frames", min=1, help="Exposures restored together, each with its own code: code_1.json")
@@ -107,6 +113,8 @@ def optimize(
     Example: cep optimize --trajectory motion/trajectory.json --chips 40 --duty 0.4:0.6 -o code.json
 
     Example: cep optimize --linear 36 --chips 36 --method exact
+
+    Example: cep optimize --linear 52 --open 26 --objective min-mtf:0.15,noise:1
     """
     from dataclasses import asdict, replace
 
@@ -167,7 +175,7 @@ def optimize(
         )  # fmt: skip
         return
     claim([output], force=force)
-    found = _search(searched, method=method, steps=steps, time_s=time_s, seed=seed)
+    found = search(searched, method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)
     code = replace(found["code"], chip_ns=chip_ns)
     problems = profile.check(Program.from_bits(code.bits, chip_ns=chip_ns)) if profile else ()
     if problems:
@@ -177,9 +185,9 @@ def optimize(
     ours, *others = compare(problem, code, rng=np.random.default_rng([seed, 1]))
     metrics = ours.metrics
     certificate = certify(code, None if straight else _as_designed(motion, direction)).to_dict()
-    figure, limit, gap = _bounded(problem, metrics, straight=straight, effort=effort)
+    figure, limit, gap = bounded(problem, metrics, straight=straight, effort=effort)
     write_code(output, StoredCode(code, metrics.to_dict(), described, certificate))
-    warnings = _warnings(problem, interrupted=found["interrupted"], method=method)
+    warnings = warnings_of(problem, interrupted=found["interrupted"], method=method)
     result = {
         "file": output,
         **code_figures(code),
@@ -224,71 +232,6 @@ def optimize(
             console.print(f"{figure}: no code with so many open chips can do better than {limit:.4g}")
 
     finish(result, as_json=as_json, show=show)
-
-
-def _search(problem: SearchProblem, *, method: str, steps: int | None, time_s: float, seed: int) -> dict[str, Any]:
-    """Run the search; code, objective, steps, seconds, interrupted, and the proof's log, None without one."""
-    import numpy as np
-
-    from cep.baselines.published import for_chips
-    from cep.search.annealing.anneal import anneal, standard_moves
-    from cep.search.exhaustive.exact import codes_to_count, exact
-
-    if method == "exact":
-        with progress(f"counting {codes_to_count(problem):.2g} codes") as tick:
-            proven = exact(problem, progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"))
-        unit = 1 if problem.scenarios else problem.chips  # |P| counts chips, the objective is light-true
-        return {
-            "code": proven.code,
-            "objective": -20 * float(np.log10(max(proven.minimum.upper / unit, 1e-300))),
-            "steps": codes_to_count(problem),
-            "seconds": proven.seconds,
-            "interrupted": not proven.proven,
-            "proof": proven.proof.to_dict(),
-        }
-    with progress("searching") as tick:
-        found = anneal(
-            problem,
-            rng=np.random.default_rng(seed),
-            steps=steps or standard_moves(problem),
-            time_s=time_s,
-            start=[entry.code for entry in for_chips(problem.chips)],
-            progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"),
-        )
-    return {
-        "code": found.code,
-        "objective": found.objective,
-        "steps": found.steps,
-        "seconds": found.seconds,
-        "interrupted": found.interrupted,
-        "proof": None,
-    }
-
-
-def _bounded(
-    problem: SearchProblem, metrics: Any, *, straight: bool, effort: str
-) -> tuple[str, float | None, float | None]:
-    """Name, bound and gap of the figure that was optimised, None where nothing bounds it."""
-    from cep.search.bounding.bounds import bound
-
-    if problem.objective not in ("min-mtf", "noise"):
-        return "", None, None
-    limits = bound(problem, effort=effort)  # type: ignore[arg-type]
-    if problem.objective == "noise":
-        return "noise gain, dB", limits.noise, metrics.noise_gain_db - limits.noise
-    limit, reached = (limits.min_chip, metrics.min_chip) if straight else (limits.min_mtf, metrics.min_mtf)
-    # with so many open chips every code may have a zero: then the limit is 0, and reached
-    return "min |P|, chips" if straight else "min MTF", limit, 1 - reached / limit if limit > 0 else 0.0
-
-
-def _warnings(problem: SearchProblem, *, interrupted: bool, method: str) -> list[str]:
-    told = []
-    if interrupted:
-        what = "the proof was stopped early" if method == "exact" else "the search was stopped early"
-        told.append(f"{what}, this is the best code so far")
-    if problem.response is not None or len(problem.scenarios) > 1 or problem.scenarios[0].edges is not None:
-        told.append("the certificate is for a shutter that opens at once and on time, along the motion as it was given")
-    return told
 
 
 def _as_designed(motion: Any, direction: str) -> Any:

@@ -76,7 +76,7 @@ def problem_of(
         chips=wish.chips,
         scenarios=_scenarios(wish, stored, rng),
         open_range=(low, high),
-        objective=wish.objective or ("min-mtf" if straight else "mse"),
+        objective=_objective(wish.objective) if wish.objective else ("min-mtf" if straight else "mse"),
         direction=wish.direction,  # type: ignore[arg-type]
         rule=wish.rule,  # type: ignore[arg-type]
         min_open=max(wish.min_open, device["min_open"]),
@@ -121,16 +121,35 @@ def open_limits(chips: int, open_chips: str | None, duty: str | None) -> tuple[i
     return least, most
 
 
+def _objective(text: str) -> str | tuple[tuple[str, float], ...]:
+    if ":" not in text and "," not in text:
+        return text
+    mix = []
+    for part in text.split(","):
+        name, _, weight = part.partition(":")
+        try:
+            mix.append((name.strip(), float(weight or 1)))
+        except ValueError:
+            raise ValueError(f"--objective: must be a name or a mix as min-mtf:0.15,noise:1, got {text!r}") from None
+    if len({name for name, _ in mix}) < len(mix):
+        raise ValueError(f"--objective: names one objective twice, got {text!r}")
+    return tuple(mix)
+
+
 def _scenarios(wish: Wish, stored: StoredMotion, rng: np.random.Generator) -> tuple[Scenario, ...]:
-    from cep.search.scenarios import Scenario, alternatives, drifted, jittered, speed_range
+    from cep.search.scenarios import LARGEST_JITTER, Scenario, alternatives, drifted, jittered, speed_range
 
     made = alternatives(stored) if wish.alternatives else (Scenario(stored.trajectory),)
     if wish.speed is not None:
         low, high = _numbers("--speed", wish.speed, "0.8:1.2")
         made = speed_range(made, low, high, _SPEEDS if low < high else 1)
     if wish.drift is not None:
+        if not abs(wish.drift) <= 0.5:
+            raise ValueError(f"--drift: must lie within -0.5..0.5, got {wish.drift:g}")
         made = drifted(made, wish.chips, (-abs(wish.drift), 0.0, abs(wish.drift)))
     if wish.jitter is not None:
+        if not 0 <= wish.jitter <= LARGEST_JITTER:
+            raise ValueError(f"--jitter: must lie within 0..{LARGEST_JITTER:g} chips, got {wish.jitter:g}")
         made = jittered(made, wish.chips, wish.jitter, _JITTERS, rng=rng)
     return made
 
@@ -141,6 +160,9 @@ def _mask(wish: Wish) -> str | None:
     if wish.fixed is None and not (wish.first_open or wish.last_open):
         return None
     marks = wish.fixed or "?" * wish.chips
+    for asked, name, place in ((wish.first_open, "--first-open", 0), (wish.last_open, "--last-open", -1)):
+        if asked and marks[place : place + 1 or None] == "0":
+            raise ValueError(f"{name}: --fixed closes that chip")
     if len(marks) != wish.chips or set(marks) - set("01?"):
         raise ValueError(f"--fixed: must be {wish.chips} characters of 1, 0 and ?, got {wish.fixed!r}")
     return fixed_mask(

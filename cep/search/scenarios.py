@@ -19,6 +19,7 @@ from motdiff.files import StoredMotion
 from motdiff.trajectory import Trajectory
 
 __all__ = [
+    "LARGEST_JITTER",
     "MOST_SCENARIOS",
     "Base",
     "Scenario",
@@ -33,7 +34,7 @@ FloatArray = NDArray[np.float64]
 MOST_SCENARIOS = 256
 """A search looks at every scenario in every move: more than these are refused."""
 
-_LARGEST_JITTER = 0.15  # chips: three standard deviations of two neighbouring edges do not meet
+LARGEST_JITTER = 0.15  # chips: three standard deviations of two neighbouring edges do not meet
 _FARTHEST_EDGE = 0.45  # of the shorter chip beside it
 
 
@@ -129,8 +130,8 @@ def jittered(
     ValueError
         If ``sigma_chips`` is outside 0..0.15, ``count`` below 1, or scenarios are too many.
     """
-    if not 0 <= sigma_chips <= _LARGEST_JITTER:
-        raise ValueError(f"sigma_chips: must lie within 0..{_LARGEST_JITTER:g} chips, got {sigma_chips:g}")
+    if not 0 <= sigma_chips <= LARGEST_JITTER:
+        raise ValueError(f"sigma_chips: must lie within 0..{LARGEST_JITTER:g} chips, got {sigma_chips:g}")
     if count < 1:
         raise ValueError(f"count: must be at least 1, got {count}")
 

@@ -87,11 +87,15 @@ def test_a_slow_shutter_is_designed_for(cep, workplace):
         (("--method", "exact", "--objective", "noise"), "min-mtf"),
         (("--bound", "loose"), "--bound: must be quick or sdp"),
         (("--fixed", "1?"), "--fixed: must be 12 characters"),
-        (("--fixed", "0???????????", "--first-open"), "0"),
+        (("--fixed", "0???????????", "--first-open"), "--first-open: --fixed closes"),
         (("--speed", "fast"), "--speed: must be LOW:HIGH"),
         (("--speed", "-1:1"), "above 0"),
-        (("--drift", "0.9"), "-0.5..0.5"),
-        (("--jitter", "0.4"), "0..0.15"),
+        (("--drift", "0.9"), "--drift: must lie within -0.5..0.5"),
+        (("--drift", "nan"), "--drift"),
+        (("--jitter", "0.4"), "--jitter: must lie within 0..0.15"),
+        (("--objective", "noise:much"), "--objective: must be a name or a mix"),
+        (("--objective", "noise:1,noise:2"), "twice"),
+        (("--method", "exact", "--steps", "9"), "--steps"),
         (("--rule", "median"), "rule"),
         (("--min-closed", "9", "--open", "8", "--max-pulses", "1", "--fixed", "1?????0????1"), "conflict"),
     ],
@@ -100,3 +104,25 @@ def test_bad_wishes_are_one_line(cep, workplace, options, message):
     line = cep.refuses("optimize", "--linear", "12", "--chips", "12", "-o", "never.json", *options)
     assert message in line
     assert not Path("never.json").exists()
+
+
+def test_a_mix_is_searched(cep, workplace):
+    options = ("optimize", "--linear", "12", "--chips", "12", "--open", "6", "--steps", "30000", "--force")
+    both = cep.succeeds(*options, "--objective", "min-mtf:0.5,noise:1", "-o", "both.json")
+    assert (both["bound"], both["gap"]) == (None, None)
+    noise = cep.succeeds(*options, "--objective", "noise", "-o", "noise.json")
+    assert both["noise_gain_db"] >= noise["noise_gain_db"] - 1e-9
+    assert read_code("both.json").problem["objective"] == [["min-mtf", 0.5], ["noise", 1.0]]
+
+
+def test_nothing_to_choose_takes_no_time(cep, workplace):
+    found = cep.succeeds("optimize", "--linear", "6", "--chips", "6", "--open", "6", "-o", "all.json")
+    assert (found["bits"], found["steps"], found["interrupted"]) == ("111111", 0, False)
+
+
+def test_starts_from_the_relaxation(cep, workplace):
+    options = ("optimize", "--trajectory", "trajectory.json", "--chips", "10", "--open", "5", "--steps", "2000")
+    found = cep.succeeds(*options, "--objective", "noise", "--bound", "sdp", "-o", "sdp.json")
+    quick = cep.succeeds(*options, "--objective", "noise", "-o", "quick.json")
+    assert found["bound"] >= quick["bound"] - 1e-9
+    assert found["noise_gain_db"] >= found["bound"]

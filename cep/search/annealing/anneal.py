@@ -18,19 +18,19 @@ from cep.search.annealing.tables import has_run_limits, lay_out
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
-__all__ = ["Budget", "SearchResult", "anneal", "hottest_db", "standard_moves"]
+__all__ = ["COOLING", "MOST_SWAPS", "REHEATED", "Budget", "SearchResult", "anneal", "hottest_db", "standard_moves"]
 
 Codes = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
 _SEARCH_OVERSAMPLING = 8  # coarse: the polish judges on 64 and the continuum
 _HOT_DB = {"min-mtf": 0.8, "noise": 0.3, "flatness": 0.1, "mse": 0.1}  # as their single moves differ: docs/decisions.md
 _HOT_CHIPS, _HOTTEST = 52, 4.0  # these temperatures are for so many chips; fewer are at most so much hotter
-_COOLING = 3.0  # hottest over coldest
+COOLING = 3.0  # hottest over coldest
 _CHAINS = 8  # of a round: enough for most machines' cores, and the outcome must not depend on their number
 _WALKS_STRAIGHT, _WALKS_OTHERS = 6, 2  # chains of later rounds that walk instead
 _SHORT = 64  # chips to which walks are worth more than cooling on straight motion
-_MOST_SWAPS = 2**12  # of a code whose every neighbour is worth a look in each step: to 128 chips
-_REHEATED = 0.6
+MOST_SWAPS = 2**12  # of a code whose every neighbour is worth a look in each step: to 128 chips
+REHEATED = 0.6
 _SHORTEST, _LONGEST = 2**15, 2**22  # moves of a chain in the first and the last rounds
 _ELITES = 32
 _POOL = 8  # of the best, from which walks start
@@ -177,7 +177,7 @@ def anneal(
         return budget.elapsed() < time_s
 
     try:
-        if free.size:
+        if _movable(problem, elites.ranked()[0], free):
             crews = _crews(problem, coarse, free, threads)
             round_number = 0
             while budget.left():
@@ -209,6 +209,12 @@ def hottest_db(problem: SearchProblem) -> float:
     return float(hot * min(_HOTTEST, (_HOT_CHIPS / problem.chips) ** 1.5))
 
 
+def _movable(problem: SearchProblem, code: Codes, free: NDArray[np.intp]) -> bool:
+    """Whether any chip may change: alone, where the light may, or against another."""
+    low, high = problem.open_limits
+    return free.size > 0 and (low < high or np.unique(code[free]).size == 2)
+
+
 def _crews(problem: SearchProblem, coarse: Objective, free: NDArray[np.intp], threads: int | None) -> list[Crew]:
     """Return a crew for the objective; of a mix also one for each part, which judges a move many times as fast."""
     parts = [replace(problem, objective=name) for name, _ in problem.objective_mix]
@@ -224,7 +230,7 @@ def _plans(
     """Plan a round: chains that cool from everything given, from the best and from anywhere, others that walk."""
     hot = hottest_db(problem)
     walks = 0
-    if not (first or has_run_limits(problem) or problem.chips**2 // 4 > _MOST_SWAPS):
+    if not (first or has_run_limits(problem) or problem.chips**2 // 4 > MOST_SWAPS):
         straight = all(straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios)
         walks = _WALKS_STRAIGHT if straight and problem.chips <= _SHORT else _WALKS_OTHERS
     cooled = _CHAINS - walks
@@ -233,8 +239,8 @@ def _plans(
     kept = min(len(best), cooled if first else cooled // 2)
     codes[:kept] = best[:kept]
     seeds = [int(seed) for seed in rng.integers(1, 2**62, _CHAINS)]
-    heats = [hot if first or index >= kept else _REHEATED * hot for index in range(cooled)]
+    heats = [hot if first or index >= kept else REHEATED * hot for index in range(cooled)]
     chains = [
-        Cooling(*plan) for plan in zip(codes, heats, [hot / _COOLING] * cooled, [moves] * cooled, seeds, strict=False)
+        Cooling(*plan) for plan in zip(codes, heats, [hot / COOLING] * cooled, [moves] * cooled, seeds, strict=False)
     ]
     return [*chains, *(Walks(best[:_POOL], moves, seed) for seed in seeds[cooled:])]

@@ -135,13 +135,17 @@ class Crew:
         tables, work = self._own_tables(), work_space(self._tables, self._problem)
         chain = self._chain(plan.code, plan.seed)
         ratio, done = plan.cold_db / plan.hot_db, 0
+        deepest: list[Codes] = []
         while done < plan.moves:
             self._refresh(tables, chain)
             count = min(_COOL_SLICE, plan.moves - done)
             heat = [plan.hot_db * ratio ** (move / plan.moves) for move in (done, done + count)]
             cool(tables, self._limits, chain, self._free, work, np.array(heat), count)
             done += count
-            yield count, _found(chain)
+            # of every slice: what is deepest on the search's samples need not be so in between
+            deepest = [*deepest, _found(chain)][-_KEPT:]
+            chain.cost[2] = 0.0
+            yield count, np.concatenate([chain.best[None], *deepest])
 
     def _walks(self, plan: Walks) -> Iterator[tuple[int, Codes]]:
         tables, work = self._own_tables(), work_space(self._tables, self._problem)

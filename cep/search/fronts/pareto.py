@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from cep.baselines.published import for_chips
 from cep.code import ShutterCode
+from cep.search.annealing.anneal import COOLING, MOST_SWAPS, REHEATED, hottest_db
 from cep.search.annealing.chains import Cooling, Crew, Walks
 from cep.search.annealing.tables import has_run_limits, lay_out
 from cep.search.annealing.terms import Tables
@@ -42,9 +43,6 @@ _LEEWAY_DB = np.array([1.5, 0.6])  # by which a count's codes may be beaten befo
 _FIRST_LOOKS, _LOOKS = 3, 16  # codes looked around in one go
 _RANDOM, _VARIANTS = 8, 16  # random codes of each count, and copies of each neighbour's code with other light
 _OVERSAMPLING = 8
-_HOT_DB = {"min-mtf": 0.8, "noise": 0.3}  # as in cep.search.annealing.anneal
-_COOLING, _REHEATED = 3.0, 0.6  # hottest over coldest; chains that start from good codes are cooler
-_MOST_SWAPS = 2**14  # of a code that walks can serve
 _CHAINS = 4
 _FIRST_MOVES, _LAST_MOVES, _GROWTH = 2**15, 2**20, 4  # of a chain in the first rounds and the last
 
@@ -219,9 +217,9 @@ class _Search:
         starts = np.concatenate([good, drawn])
         tables, hot = self._tables_of(share)
         seeds = [int(seed) for seed in self.rng.integers(1, 2**62, _CHAINS)]
-        walks = 0 if has_run_limits(archive.problem) or self.problem.chips**2 // 4 > _MOST_SWAPS else _CHAINS // 2
+        walks = 0 if has_run_limits(archive.problem) or self.problem.chips**2 // 4 > MOST_SWAPS else _CHAINS // 2
         plans: list[Cooling | Walks] = [
-            Cooling(code, hot * (_REHEATED if place < len(good) else 1), hot / _COOLING, moves, seed)
+            Cooling(code, hot * (REHEATED if place < len(good) else 1), hot / COOLING, moves, seed)
             for place, (code, seed) in enumerate(zip(starts, seeds[walks:], strict=False))
         ]
         plans += [Walks(pool if len(pool) else drawn, moves, seed) for seed in seeds[:walks]]
@@ -241,7 +239,7 @@ class _Search:
         if share not in self._tables:
             mix = tuple((name, weight) for name, weight in (("min-mtf", 1 - share), ("noise", share)) if weight > 0)
             tables = lay_out(Objective(replace(self.problem, objective=mix), oversampling=_OVERSAMPLING))
-            self._tables[share] = (tables, sum(weight * _HOT_DB[name] for name, weight in mix))
+            self._tables[share] = (tables, hottest_db(replace(self.problem, objective=mix)))
         return self._tables[share]
 
     def _relit(self, codes: Codes, count: int, *, variants: int = _VARIANTS) -> Codes:
