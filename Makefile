@@ -31,6 +31,7 @@ bench: $(READY)
 
 clean:
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis build dist *.egg-info
+	find cep -name '*.nb[ic]' -delete
 
 # The stamp is touched last: an interrupted installation is finished by the next make.
 $(READY): pyproject.toml constraints.txt

@@ -50,11 +50,14 @@ def physics(prepared: str, validation: str) -> TrainingConfig:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", nargs="+", help="folder of sharp photos; or, with --physics, both folders of samples")
+    parser.add_argument("data", nargs="*", help="folder of sharp photos; or, with --physics, both folders of samples")
     parser.add_argument("--physics", action="store_true")
     parser.add_argument("--runs", type=Path, default=Path("ablation"))
     parser.add_argument("--samples", type=int, default=3200)
     options = parser.parse_args()
+    if not options.data:
+        print("skipped: it needs a folder of sharp photos, see --help")
+        return
     if len(options.data) != (2 if options.physics else 1):
         parser.error("give one folder of photos, or with --physics the two folders of prepared samples")
     base = physics(*options.data) if options.physics else paper(*options.data)
