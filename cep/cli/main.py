@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from cep.cli import calibrate, code, deblur, demo, hardware, optimize, pareto, simulate
+from cep.cli import bench, calibrate, code, deblur, demo, hardware, optimize, pareto, simulate
 from cep.cli.console import FAILURE, INTERRUPTED, complain, explain
 
 __all__ = ["app", "main", "run"]
@@ -44,6 +44,7 @@ app.command("simulate")(simulate.simulate)
 app.command("deblur")(deblur.deblur)
 app.command("export")(hardware.export)
 app.command("upload")(hardware.upload)
+app.add_typer(bench.bench, name="bench")
 app.command("demo")(demo.demo)
 
 

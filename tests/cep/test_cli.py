@@ -23,7 +23,19 @@ from motdiff.files import read_motion, write_motion
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
 from motdiff.trajectory import Trajectory
 
-COMMANDS = ("calibrate", "optimize", "pareto", "audit", "mtf", "simulate", "deblur", "export", "upload", "demo")
+COMMANDS = (
+    "calibrate",
+    "optimize",
+    "pareto",
+    "audit",
+    "mtf",
+    "simulate",
+    "deblur",
+    "export",
+    "upload",
+    "demo",
+)
+GROUPED = ("bench codes",)
 METRICS = {"min_mtf", "min_chip", "noise_gain_db", "mse_db", "flatness_var", "dnf_db"}
 
 
@@ -42,9 +54,9 @@ def test_help_loads_nothing_heavy():
         assert command in done.stdout
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [*COMMANDS, *GROUPED])
 def test_every_command_has_help_with_an_example_and_the_common_options(cep, command):
-    cep(command, "--help")
+    cep(*command.split(), "--help")
     assert cep.code == 0
     for text in ("--json", "--seed", "--force", "--output", "Example: cep " + command):
         assert text in " ".join(cep.out.split())
@@ -52,6 +64,12 @@ def test_every_command_has_help_with_an_example_and_the_common_options(cep, comm
 
 def test_commands_are_those_of_the_design():
     assert tuple(info.name for info in app.registered_commands) == COMMANDS
+    groups = [
+        f"{group.name} {info.name}"
+        for group in app.registered_groups
+        for info in group.typer_instance.registered_commands
+    ]
+    assert tuple(groups) == GROUPED
 
 
 def test_no_arguments_show_help(cep):
