@@ -13,6 +13,7 @@ from cep.search.problem import SearchProblem
 __all__ = ["has_run_limits", "lay_out", "limits_of", "work_space"]
 
 FloatArray = NDArray[np.float64]
+_LEAST = 1e-9  # of a term's x, however deep a zero: 1 / x^4 must not overflow
 _NEVER = 1e30  # offset of columns that fill up a block: their terms vanish
 
 
@@ -54,9 +55,9 @@ def lay_out(objective: Objective) -> Tables:
         kept = ~filling
         kinds.append({"min-mtf": STEEP, "flatness": FLATNESS}.get(name, RECIPROCAL))
         if name == "min-mtf":
-            scale[o, 0, kept], offset[o, 0, kept] = chips**-2, 0.0
+            scale[o, 0, kept], offset[o, 0, kept] = chips**-2, _LEAST
         elif name == "noise":
-            scale[o, 0, kept], offset[o, 0, kept] = 1 / (weight[kept] * chips**2), 0.0
+            scale[o, 0, kept], offset[o, 0, kept] = 1 / (weight[kept] * chips**2), _LEAST
         elif name == "flatness":
             scale[o, 0, kept] = weight[kept]
             light[o, 1:] = 1.0 / np.arange(1, chips + 1) ** 2

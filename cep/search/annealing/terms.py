@@ -34,7 +34,6 @@ Ints = NDArray[np.int64]
 RECIPROCAL, STEEP, FLATNESS = 0, 1, 2  # objectives: sum of 1 / x, sum of 1 / x^4, variance of |H|
 BLOCK = 64
 SMALLEST = np.float32(1e-8)  # of |P|^2: a chip has |P| of about 1
-_MOST = np.float32(1e9)  # of a term: its fourth power must not overflow
 
 
 class Tables(NamedTuple):
@@ -112,7 +111,7 @@ def _pair_sum(
     for f in range(BLOCK):
         x = otf[0, block, 0, f] + s * rows[a, u, block, 0, f] + t * rows[b, v, block, 0, f]
         y = otf[0, block, 1, f] + s * rows[a, u, block, 1, f] + t * rows[b, v, block, 1, f]
-        term = min(_MOST, one / (light * scale[0, block, 0, f] * (x * x + y * y + SMALLEST) + offset[0, block, 0, f]))
+        term = one / (light * scale[0, block, 0, f] * (x * x + y * y + SMALLEST) + offset[0, block, 0, f])
         square = term * term
         total += plain * term + sharp * square * square
     return total
@@ -172,7 +171,7 @@ def sums_over(
                 total, mean, light = np.float32(0), np.float32(0), lights[o, opened]
                 if kinds[o] == STEEP:
                     for f in range(BLOCK):
-                        term = min(_MOST, one / (scale[o, block, 0, f] * work[2, f] + offset[o, block, 0, f]))
+                        term = one / (scale[o, block, 0, f] * work[2, f] + offset[o, block, 0, f])
                         square = term * term
                         total += square * square
                 elif kinds[o] == RECIPROCAL:
