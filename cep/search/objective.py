@@ -13,7 +13,8 @@ H is light-true, so a darker code pays for its lost light everywhere but in ``fl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,9 +25,9 @@ from cep.certify.minimum import min_chip, mtf_minimum
 from cep.code import ShutterCode
 from cep.mtf import inverse_scene, noise_variance
 from cep.search.problem import SearchProblem
-from cep.search.scenarios import scenario_rows
+from cep.search.scenarios import Scenario, scenario_rows
 
-__all__ = ["Objective", "Part"]
+__all__ = ["Objective", "Part", "continuum_minimum", "sample_count"]
 
 RealArray = NDArray[Any]
 
@@ -77,7 +78,7 @@ class Objective:
         ramps = problem.response is not None
         for index, scenario in enumerate(problem.scenarios):
             samples = band_samples(scenario.trajectory, oversampling=oversampling)
-            for turned in (False, True) if problem.both_directions(scenario.trajectory) else (False,):
+            for turned in problem.directions(scenario):
                 rows = scenario_rows(
                     scenario, problem.chips, samples.fx, samples.fy, response=problem.response, reversed_path=turned
                 )
@@ -95,6 +96,12 @@ class Objective:
         )
         shares = np.array([s.weight for s in problem.scenarios] or [1.0])
         self.scenario_shares: NDArray[np.float64] = shares / shares.sum()
+
+    def instead(self, objective: str | tuple[tuple[str, float], ...]) -> Objective:
+        """Judge by another objective on the same samples; the tables are shared."""
+        other = copy(self)
+        other.problem = replace(self.problem, objective=objective)
+        return other
 
     def otf(self, codes: RealArray) -> RealArray:
         """(R, 2, F) real and imaginary OTF of (R, n) codes."""
@@ -145,7 +152,8 @@ class Objective:
             for part in self.parts:
                 modulus = np.hypot(otf[0, 0, part.columns], otf[0, 1, part.columns])
                 deepest = int(modulus.argmin())
-                found = max(_continuum_minimum(self.problem, part, code), 1e-3 * modulus[deepest])
+                way = (self.problem.scenarios[part.scenario], part.reversed_path) if self.problem.scenarios else None
+                found = max(continuum_minimum(self.problem, way, code), 1e-3 * modulus[deepest])
                 # the deepest sample stands for the continuum between it and its neighbours
                 otf[0, :, part.columns.start + deepest] *= min(found / max(modulus[deepest], 1e-300), 1.0)
         return float(self.cost(otf, self.duty(chips))[0])
@@ -170,15 +178,29 @@ class Objective:
         return np.asarray(10 * np.log10(value), dtype=np.float64)
 
 
+def sample_count(problem: SearchProblem, *, oversampling: int) -> int:
+    """Columns that an objective has, all scenarios and directions together, without making its tables."""
+    if not problem.scenarios:
+        return circle_samples(problem.chips, oversampling=oversampling).fx.size
+    return sum(
+        len(problem.directions(one)) * band_samples(one.trajectory, oversampling=oversampling).fx.size
+        for one in problem.scenarios
+    )
+
+
 def _stacked(tables: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Stack (F, Q) tables, those with fewer columns filled up with zero shares."""
     widest = max(table.shape[1] for table in tables)
     return np.concatenate([np.pad(table, ((0, 0), (0, widest - table.shape[1]))) for table in tables])
 
 
-def _continuum_minimum(problem: SearchProblem, part: Part, code: ShutterCode) -> float:
-    if not problem.scenarios:
+def continuum_minimum(problem: SearchProblem, way: tuple[Scenario, bool] | None, code: ShutterCode) -> float:
+    """Smallest |H| that was found over the continuum one way, as :meth:`SearchProblem.ways` names it.
+
+    None is the unit circle.
+    """
+    if way is None:
         return min_chip(code) / code.chips
-    scenario = problem.scenarios[part.scenario]
-    path = scenario.path(reversed_path=part.reversed_path)
+    scenario, turned = way
+    path = scenario.path(reversed_path=turned)
     return mtf_minimum(path, code, budget=0, response=problem.response, edges=scenario.edges).upper

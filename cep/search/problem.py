@@ -134,6 +134,19 @@ class SearchProblem:
         unknown = self.direction == "unknown" or (self.direction == "auto" and trajectory.direction == "unknown")
         return unknown and uniform_length_px(trajectory) is None
 
+    @property
+    def free_chips(self) -> NDArray[np.intp]:
+        """Chips, by their index, that nothing forces open or closed."""
+        return np.flatnonzero([mark == "?" for mark in self.fixed or "?" * self.chips])
+
+    def directions(self, scenario: Scenario) -> tuple[bool, ...]:
+        """Directions of a scenario that count: whether each is the reversed one."""
+        return (False, True) if self.both_directions(scenario.trajectory) else (False,)
+
+    def ways(self) -> tuple[tuple[Scenario, bool], ...]:
+        """Every scenario in every direction that counts, scenario by scenario."""
+        return tuple((scenario, turned) for scenario in self.scenarios for turned in self.directions(scenario))
+
     def satisfied(self, codes: NDArray[np.integer] | BoolArray) -> BoolArray:
         """Which of (R, n) codes keep every limit, (R,) bool."""
         is_open = np.asarray(codes) != 0
@@ -165,11 +178,10 @@ class SearchProblem:
         if code.chips != self.chips:
             raise ValueError(f"code: must have {self.chips} chips, got {code.chips}")
         found = []
-        for scenario in self.scenarios or (Scenario(Trajectory.straight(float(self.chips))),):
-            for turned in (False, True) if self.both_directions(scenario.trajectory) else (False,):
-                path = scenario.path(reversed_path=turned)
-                shutter, edges = self.response, scenario.edges
-                found.append(measure(path, code, camera=self.camera, budget=budget, response=shutter, edges=edges))
+        for scenario, turned in self.ways() or ((Scenario(Trajectory.straight(float(self.chips))), False),):
+            path = scenario.path(reversed_path=turned)
+            shutter, edges = self.response, scenario.edges
+            found.append(measure(path, code, camera=self.camera, budget=budget, response=shutter, edges=edges))
         return worst_of(*found)
 
     def _check_feasible(self) -> None:

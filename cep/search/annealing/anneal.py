@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from cep.mtf import CodeMetrics
 from cep.search.annealing.chains import Cooling, Crew, Walks
 from cep.search.annealing.polish import polish
 from cep.search.annealing.tables import has_run_limits, lay_out
-from cep.search.objective import Objective
+from cep.search.objective import Objective, sample_count
 from cep.search.problem import SearchProblem
 
 __all__ = ["COOLING", "MOST_SWAPS", "REHEATED", "Budget", "SearchResult", "anneal", "hottest_db", "standard_moves"]
@@ -167,7 +167,7 @@ def anneal(
     elites = _Elites(coarse)
     seeds = np.array([*given, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
     elites.offer(seeds[problem.satisfied(seeds)])
-    free = np.flatnonzero([mark == "?" for mark in problem.fixed or "?" * problem.chips])
+    free = problem.free_chips
     interrupted = False
 
     def tick(moves: int) -> bool:
@@ -198,7 +198,7 @@ def anneal(
 
 def standard_moves(problem: SearchProblem) -> int:
     """Say after how many moves more rarely find a better code."""
-    columns = Objective(problem, oversampling=_SEARCH_OVERSAMPLING).rows.shape[-1]
+    columns = sample_count(problem, oversampling=_SEARCH_OVERSAMPLING)
     return int(np.clip(_STANDARD_WORK // columns, 2**20, 2**25))
 
 
@@ -217,10 +217,8 @@ def _movable(problem: SearchProblem, code: Codes, free: NDArray[np.intp]) -> boo
 
 def _crews(problem: SearchProblem, coarse: Objective, free: NDArray[np.intp], threads: int | None) -> list[Crew]:
     """Return a crew for the objective; of a mix also one for each part, which judges a move many times as fast."""
-    parts = [replace(problem, objective=name) for name, _ in problem.objective_mix]
-    if len(parts) == 1:
-        return [Crew(problem, lay_out(coarse), free, threads=threads)]
-    objectives = [*(Objective(part, oversampling=_SEARCH_OVERSAMPLING) for part in parts), coarse]
+    parts = [coarse.instead(name) for name, _ in problem.objective_mix]
+    objectives = [coarse] if len(parts) == 1 else [*parts, coarse]
     return [Crew(one.problem, lay_out(one), free, threads=threads) for one in objectives]
 
 

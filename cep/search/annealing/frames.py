@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.code import ShutterCode
-from cep.search.annealing.anneal import Budget, hottest_db
+from cep.search.annealing.anneal import COOLING, REHEATED, Budget, hottest_db
 from cep.search.annealing.cooling import Chain, cool
 from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables, polish_jointly
 from cep.search.annealing.proposals import Limits
@@ -36,8 +36,6 @@ FloatArray = NDArray[np.float64]
 Progress = Callable[[float, tuple[ShutterCode, ...]], None]
 _OVERSAMPLING = 8
 _CHAINS = 8
-_COOLING = 3.0  # hottest over coldest
-_REHEATED = 0.6
 _SLICE, _VISIT = 4096, 256  # moves until the OTF is summed anew, and in one frame until the next one has its turn
 _ELITES = 16
 
@@ -121,7 +119,7 @@ def anneal_frames(
     elites = _Elites(Objective(problem, oversampling=_OVERSAMPLING))
     seeds = np.array([*given, problem.random_codes(frames, rng=rng)], dtype=np.int8)
     elites.offer(seeds[[bool(problem.satisfied(codes).all()) for codes in seeds]])
-    free = np.flatnonzero([mark == "?" for mark in problem.fixed or "?" * problem.chips])
+    free = problem.free_chips
     interrupted = False
     try:
         if free.size:
@@ -221,14 +219,14 @@ def _round(
     runs = [joint.chain(one, int(rng.integers(1, 2**62))) for one in codes]
     # a move in one frame changes a sum of so many less, and colder still found better codes
     hot = hottest_db(joint.problem) / joint.frames**2
-    heats = [hot * (_REHEATED if round_number and index < kept else 1.0) for index in range(_CHAINS)]
+    heats = [hot * (REHEATED if round_number and index < kept else 1.0) for index in range(_CHAINS)]
     moves = budget.chain(round_number)
     try:
         for first in range(0, moves, _SLICE):
             count = min(_SLICE, moves - first)
             jobs = []
             for (tables, chain), heat in zip(runs, heats, strict=True):
-                ends = heat * (hot / _COOLING / heat) ** (np.array([first, first + count]) / moves)
+                ends = heat * (hot / COOLING / heat) ** (np.array([first, first + count]) / moves)
                 jobs.append(pool.submit(joint.advance, tables, chain, ends, count))
             for job in jobs:
                 job.result()

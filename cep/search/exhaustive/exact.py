@@ -32,7 +32,6 @@ from cep.search.exhaustive.climb import climbed
 from cep.search.exhaustive.exhaust import BYTES, INNER, Limits, dot
 from cep.search.exhaustive.proof import ExactResult, LengthLog, ProofLog
 from cep.search.problem import SearchProblem
-from motdiff.trajectory import Trajectory
 
 __all__ = ["ExactResult", "LengthLog", "ProofLog", "codes_to_count", "exact"]
 
@@ -232,7 +231,9 @@ class _Proof:
         if self.circle:
             minimum = chip_minimum(code)
         else:
-            found = [mtf_minimum(path, code, edges=edges) for path, edges in _paths(problem)]
+            found = [
+                mtf_minimum(one.path(reversed_path=turned), code, edges=one.edges) for one, turned in problem.ways()
+            ]
             worst = min(found, key=lambda one: one.upper)
             minimum = replace(worst, lower=min(one.lower for one in found))
         complete = all(entry.complete for entry in self.logs.values())
@@ -261,24 +262,16 @@ class _Proof:
         return "the unit circle" if self.circle else f"{self.basis.shape[1]} band samples"
 
 
-def _paths(problem: SearchProblem) -> list[tuple[Trajectory, NDArray[np.float64] | None]]:
-    """Every path that counts, each way round, with the edges of its chips."""
-    found = []
-    for one in problem.scenarios:
-        for turned in (False, True) if problem.both_directions(one.trajectory) else (False,):
-            found.append((one.path(reversed_path=turned), one.edges))
-    return found
-
-
 def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
     """Contribution of each chip at all frequencies, (n, Q)."""
     if not problem.scenarios:
         samples = circle_samples(problem.chips, oversampling=_OVERSAMPLING)
         return np.asarray(np.exp(-2j * np.pi * np.arange(problem.chips)[:, None] * samples.fx), dtype=np.complex128)
     rows = []
-    for path, edges in _paths(problem):
+    for one, turned in problem.ways():
+        path = one.path(reversed_path=turned)
         samples = band_samples(path)
-        rows.append(chip_basis(path, problem.chips, samples.fx, samples.fy, edges=edges))
+        rows.append(chip_basis(path, problem.chips, samples.fx, samples.fy, edges=one.edges))
     return np.concatenate(rows, axis=1)
 
 

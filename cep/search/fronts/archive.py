@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.band import straight_axis, uniform_length_px
-from cep.certify.minimum import min_chip, mtf_minimum
 from cep.code import ShutterCode
 from cep.mtf import HOPELESS_DB
 from cep.search.fronts.front import FrontPoint, non_dominated
-from cep.search.objective import Objective
+from cep.search.objective import Objective, continuum_minimum
 from cep.search.problem import SearchProblem
 
 __all__ = ["EQUAL_DB", "Archive", "Judge"]
@@ -46,14 +45,12 @@ class Judge:
 
     def __init__(self, problem: SearchProblem) -> None:
         self._problem = replace(problem, objective="noise")
-        lowest = replace(problem, objective="min-mtf")
         self.sampled_only = any(straight_axis(s.trajectory) is None for s in problem.scenarios)
         coarse = int(np.clip(_SAMPLES // problem.chips, 8, 64))
-        self._coarse = tuple(Objective(p, oversampling=coarse) for p in (lowest, self._problem))
-        self._fine = tuple(
-            Objective(p, oversampling=64, dtype=np.float64)
-            for p in (lowest, self._problem, replace(problem, objective="mse"))
-        )
+        noise = Objective(self._problem, oversampling=coarse)
+        self._coarse = (noise.instead("min-mtf"), noise)
+        noise = Objective(self._problem, oversampling=64, dtype=np.float64)
+        self._fine = (noise.instead("min-mtf"), noise, noise.instead("mse"))
         plain = problem.response is None and all(s.edges is None for s in problem.scenarios)
         self._mirrored = plain and all(uniform_length_px(s.trajectory) is not None for s in problem.scenarios)
 
@@ -104,15 +101,7 @@ class Judge:
 
     def _minimum(self, code: ShutterCode) -> float:
         problem = self._problem
-        if not problem.scenarios:
-            return min_chip(code) / code.chips
-        return min(
-            mtf_minimum(
-                scenario.path(reversed_path=turned), code, budget=0, response=problem.response, edges=scenario.edges
-            ).upper
-            for scenario in problem.scenarios
-            for turned in ((False, True) if problem.both_directions(scenario.trajectory) else (False,))
-        )
+        return min(continuum_minimum(problem, way, code) for way in problem.ways() or (None,))
 
 
 class Archive:

@@ -131,7 +131,7 @@ class _Search:
         self._began = time.monotonic()
         self.moves = 0
         self.judge = Judge(problem)
-        self._free = np.flatnonzero([mark == "?" for mark in problem.fixed or "?" * problem.chips])
+        self._free = problem.free_chips
         self._tables: dict[float, tuple[Tables, float]] = {}
         self.archives = {count: Archive(self.judge, p) for count, p in problems.items()}
 
