@@ -7,9 +7,9 @@ import pytest
 
 from cep.response import ShutterResponse
 from cep.search.annealing.chains import Cooling, Crew, Walks
-from cep.search.annealing.cooling import Chain, cool
+from cep.search.annealing.cooling import cool
 from cep.search.annealing.polish import neighbours
-from cep.search.annealing.states import fresh_otf, smallest_power, total_cost, worst_first
+from cep.search.annealing.states import Chain, fresh_otf, smallest_power, total_cost, worst_first
 from cep.search.annealing.tables import lay_out, limits_of, work_space
 from cep.search.annealing.terms import BLOCK
 from cep.search.annealing.walking import walk

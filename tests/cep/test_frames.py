@@ -13,10 +13,10 @@ from cep.exposure import open_path
 from cep.files import read_code
 from cep.response import ShutterResponse
 from cep.search.annealing.anneal import anneal
-from cep.search.annealing.cooling import Chain, cool
+from cep.search.annealing.cooling import cool
 from cep.search.annealing.frames import anneal_frames
 from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables
-from cep.search.annealing.states import fresh_otf, smallest_power, total_cost, worst_first
+from cep.search.annealing.states import Chain, fresh_otf, smallest_power, total_cost, worst_first
 from cep.search.annealing.tables import limits_of
 from cep.search.annealing.terms import BLOCK
 from cep.search.annealing.walking import walk

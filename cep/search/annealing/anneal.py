@@ -94,6 +94,12 @@ class Budget:
     began: float
     done: int = 0
 
+    def __post_init__(self) -> None:
+        if self.steps is not None and self.steps < 1:
+            raise ValueError(f"steps: must be at least 1, got {self.steps}")
+        if not self.time_s > 0:
+            raise ValueError(f"time_s: must be above 0 seconds, got {self.time_s}")
+
     def used(self) -> float:
         """Fraction used, 0..1."""
         return min(1.0, max(self.elapsed() / self.time_s, 0.0 if self.steps is None else self.done / self.steps))
@@ -155,14 +161,10 @@ def anneal(
     ----------
     Kirkpatrick, Gelatt and Vecchi, "Optimization by simulated annealing", Science 1983.
     """
-    if steps is not None and steps < 1:
-        raise ValueError(f"steps: must be at least 1, got {steps}")
-    if not time_s > 0:
-        raise ValueError(f"time_s: must be above 0 seconds, got {time_s}")
+    budget = Budget(steps, time_s, time.monotonic())
     given = [code.array for code in start]
     if any(bits.size != problem.chips for bits in given):
         raise ValueError(f"start: every code must have {problem.chips} chips")
-    budget = Budget(steps, time_s, time.monotonic())
     coarse = Objective(problem, oversampling=_SEARCH_OVERSAMPLING)
     elites = _Elites(coarse)
     seeds = np.array([*given, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)

@@ -11,10 +11,10 @@ from threading import Event
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.search.annealing.cooling import Chain, cool
-from cep.search.annealing.states import fresh_otf, total_cost, worst_first
+from cep.search.annealing.cooling import cool
+from cep.search.annealing.states import found_by, new_chain, own_tables, refresh
 from cep.search.annealing.tables import limits_of, work_space
-from cep.search.annealing.terms import BLOCK, Tables
+from cep.search.annealing.terms import Tables
 from cep.search.annealing.walking import walk
 from cep.search.problem import SearchProblem
 
@@ -132,36 +132,36 @@ class Crew:
 
     def _cooling(self, plan: Cooling) -> Iterator[tuple[int, Codes]]:
         """Yield the moves made and the best codes after every slice."""
-        tables, work = self._own_tables(), work_space(self._tables, self._problem)
-        chain = self._chain(plan.code, plan.seed)
+        tables, work = own_tables(self._tables), work_space(self._tables, self._problem)
+        chain = new_chain(tables, plan.code, plan.seed)
         ratio, done = plan.cold_db / plan.hot_db, 0
         deepest: list[Codes] = []
         while done < plan.moves:
-            self._refresh(tables, chain)
+            refresh(tables, chain, self._problem.chips)
             count = min(_COOL_SLICE, plan.moves - done)
             heat = [plan.hot_db * ratio ** (move / plan.moves) for move in (done, done + count)]
             cool(tables, self._limits, chain, self._free, work, np.array(heat), count)
             done += count
             # of every slice: what is deepest on the search's samples need not be so in between
-            deepest = [*deepest, _found(chain)][-_KEPT:]
+            deepest = [*deepest, found_by(chain)][-_KEPT:]
             chain.cost[2] = 0.0
             yield count, np.concatenate([chain.best[None], *deepest])
 
     def _walks(self, plan: Walks) -> Iterator[tuple[int, Codes]]:
-        tables, work = self._own_tables(), work_space(self._tables, self._problem)
+        tables, work = own_tables(self._tables), work_space(self._tables, self._problem)
         rng = np.random.default_rng(plan.seed)
         done = 0
         kept: list[tuple[float, Codes]] = []
         while done < plan.moves:
-            chain = self._chain(self._kicked(plan.pool, rng), int(rng.integers(1, 2**62)))
+            chain = new_chain(tables, self._kicked(plan.pool, rng), int(rng.integers(1, 2**62)))
             held, step, since = np.zeros(self._problem.chips, np.int64), 1, 0
             while since < _PATIENCE and done < plan.moves:
-                self._refresh(tables, chain)
+                refresh(tables, chain, self._problem.chips)
                 before = chain.cost[1]
                 judged = walk(tables, self._limits, chain, self._free, work, held, step, _WALK_SLICE)
                 step, done = step + _WALK_SLICE, done + judged
                 since = 0 if chain.cost[1] < before else since + _WALK_SLICE
-                now = sorted([*kept, (float(chain.cost[1]), _found(chain))], key=lambda entry: entry[0])[:_KEPT]
+                now = sorted([*kept, (float(chain.cost[1]), found_by(chain))], key=lambda entry: entry[0])[:_KEPT]
                 yield judged, np.concatenate([codes for _, codes in now])
                 if not judged:
                     return
@@ -177,27 +177,3 @@ class Crew:
         code[rng.choice(opened, swaps, replace=False)] = 0
         code[rng.choice(closed, swaps, replace=False)] = 1
         return code
-
-    def _chain(self, code: Codes, seed: int) -> Chain:
-        otf = np.empty((1, self._tables.rows.shape[2], 2, BLOCK), np.float32)
-        random = np.array([seed | 1], dtype=np.uint64)
-        return Chain(code.copy(), code.copy(), code.copy(), otf, np.array([np.inf, np.inf, 0.0]), random)
-
-    def _own_tables(self) -> Tables:
-        """Copy what a chain sorts for itself."""
-        tables = self._tables
-        return tables._replace(rows=tables.rows.copy(), scale=tables.scale.copy(), offset=tables.offset.copy())
-
-    def _refresh(self, tables: Tables, chain: Chain) -> None:
-        fresh_otf(tables, chain.code, self._problem.chips, chain.otf)
-        worst_first(tables, chain.otf)
-        chain.cost[0] = total_cost(tables, self._problem.chips, chain.code, chain.otf)
-        if chain.cost[0] < chain.cost[1]:
-            chain.cost[1] = chain.cost[0]
-            chain.best[:] = chain.code
-
-
-def _found(chain: Chain) -> Codes:
-    """Copy the codes that a chain found best."""
-    codes = [chain.best, chain.deepest] if chain.cost[2] > 0 else [chain.best]
-    return np.stack(codes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,29 +12,7 @@ from cep.search.annealing.proposals import draw_any, draw_blocks, uniform
 from cep.search.annealing.states import smallest_power
 from cep.search.annealing.terms import STEEP, add_rows, alone, decibels, judge, sum_of_cost, turn
 
-__all__ = ["Chain", "cool"]
-
-
-class Chain(NamedTuple):
-    """State of a chain, changed in place.
-
-    Attributes
-    ----------
-    code, best, deepest : (chips,) int8
-        Where it is, the cheapest code seen, and the one with the largest smallest |P|.
-    otf : (frames, nb, 2, 64) float32
-    cost : (3,) float64
-        Of ``code`` and of ``best`` in dB, and the smallest |P|^2 of ``deepest``.
-    random : (1,) uint64
-        State of the random numbers, not 0.
-    """
-
-    code: NDArray[np.int8]
-    best: NDArray[np.int8]
-    deepest: NDArray[np.int8]
-    otf: NDArray[np.float32]
-    cost: NDArray[np.float64]
-    random: NDArray[np.uint64]
+__all__ = ["cool"]
 
 
 @compiled

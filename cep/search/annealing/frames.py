@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from cep.code import ShutterCode
 from cep.search.annealing.anneal import COOLING, REHEATED, Budget, hottest_db
-from cep.search.annealing.cooling import Chain, cool
+from cep.search.annealing.cooling import cool
 from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables, polish_jointly
 from cep.search.annealing.proposals import Limits
-from cep.search.annealing.states import fresh_otf, total_cost, worst_first
+from cep.search.annealing.states import Chain, found_by, new_chain, own_tables, refresh
 from cep.search.annealing.tables import limits_of
 from cep.search.annealing.terms import BLOCK, Tables
 from cep.search.objective import Objective
@@ -108,14 +108,10 @@ def anneal_frames(
     """
     if frames < 1:
         raise ValueError(f"frames: must be at least 1, got {frames}")
-    if steps is not None and steps < 1:
-        raise ValueError(f"steps: must be at least 1, got {steps}")
-    if not time_s > 0:
-        raise ValueError(f"time_s: must be above 0 seconds, got {time_s}")
+    budget = Budget(steps, time_s, time.monotonic())
     given = [[code.array for code in codes] for codes in start]
     if any(len(codes) != frames or any(bits.size != problem.chips for bits in codes) for codes in given):
         raise ValueError(f"start: every one must be {frames} codes of {problem.chips} chips")
-    budget = Budget(steps, time_s, time.monotonic())
     elites = _Elites(Objective(problem, oversampling=_OVERSAMPLING))
     seeds = np.array([*given, problem.random_codes(frames, rng=rng)], dtype=np.int8)
     elites.offer(seeds[[bool(problem.satisfied(codes).all()) for codes in seeds]])
@@ -175,23 +171,13 @@ class _Joint:
 
     def chain(self, codes: Codes, seed: int) -> tuple[Tables, Chain]:
         """Start a chain at (M, n) codes, with the tables that it sorts for itself."""
-        tables = self.tables._replace(
-            rows=self.tables.rows.copy(), scale=self.tables.scale.copy(), offset=self.tables.offset.copy()
-        )
-        code = codes.ravel()
-        otf = np.empty((self.frames, tables.rows.shape[2], 2, BLOCK), np.float32)
-        costs, random = np.array([np.inf, np.inf, 0.0]), np.array([seed | 1], dtype=np.uint64)
-        return tables, Chain(code.copy(), code.copy(), code.copy(), otf, costs, random)
+        tables = own_tables(self.tables)
+        return tables, new_chain(tables, codes.ravel(), seed, frames=self.frames)
 
     def advance(self, tables: Tables, chain: Chain, heats_db: FloatArray, moves: int) -> None:
         """Cool a chain: the frames take turns, so that each keeps its own light."""
         chips = self.problem.chips
-        fresh_otf(tables, chain.code, chips, chain.otf)
-        worst_first(tables, chain.otf)
-        chain.cost[0] = total_cost(tables, chips, chain.code, chain.otf)
-        if chain.cost[0] < chain.cost[1]:
-            chain.cost[1] = chain.cost[0]
-            chain.best[:] = chain.code
+        refresh(tables, chain, chips)
         work = np.empty((3, BLOCK), np.float32)
         for visit, first in enumerate(range(0, moves, _VISIT)):
             count, frame = min(_VISIT, moves - first), visit % self.frames
@@ -237,9 +223,8 @@ def _round(
                 break
     finally:
         for _, chain in runs:
-            # the deepest is only kept for the minimum's objective
-            found = [chain.best, chain.deepest] if chain.cost[2] > 0 else [chain.best]
-            elites.offer(np.stack(found).reshape(len(found), joint.frames, -1))
+            found = found_by(chain)
+            elites.offer(found.reshape(len(found), joint.frames, -1))
 
 
 def _as_codes(codes: Codes) -> tuple[ShutterCode, ...]:

@@ -2,17 +2,49 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
-from cep.search.annealing.terms import BLOCK, FLATNESS, SMALLEST, decibels, sums_over
+from cep.search.annealing.terms import BLOCK, FLATNESS, SMALLEST, Tables, decibels, sums_over
 
-__all__ = ["fresh_otf", "smallest_power", "total_cost", "worst_first"]
+__all__ = [
+    "Chain",
+    "found_by",
+    "fresh_otf",
+    "new_chain",
+    "own_tables",
+    "refresh",
+    "smallest_power",
+    "total_cost",
+    "worst_first",
+]
 
 Floats = NDArray[np.float32]
+
+
+class Chain(NamedTuple):
+    """State of a chain, changed in place.
+
+    Attributes
+    ----------
+    code, best, deepest : (chips,) int8
+        Where it is, the cheapest code seen, and the one with the largest smallest |P|.
+    otf : (frames, nb, 2, 64) float32
+    cost : (3,) float64
+        Of ``code`` and of ``best`` in dB, and the smallest |P|^2 of ``deepest``.
+    random : (1,) uint64
+        State of the random numbers, not 0.
+    """
+
+    code: NDArray[np.int8]
+    best: NDArray[np.int8]
+    deepest: NDArray[np.int8]
+    otf: NDArray[np.float32]
+    cost: NDArray[np.float64]
+    random: NDArray[np.uint64]
 
 
 @compiled
@@ -103,3 +135,30 @@ def smallest_power(tables: Any, otf: Floats) -> float:
             if tables.scale[0, block, 0, f] > 0 and power < lowest:
                 lowest = power
     return float(lowest)
+
+
+def new_chain(tables: Tables, code: NDArray[np.int8], seed: int, *, frames: int = 1) -> Chain:
+    """Make a chain at a code, all frames' chips in a row; :func:`refresh` gives it its OTF and cost."""
+    otf = np.empty((frames, tables.rows.shape[2], 2, BLOCK), np.float32)
+    costs, random = np.array([np.inf, np.inf, 0.0]), np.array([seed | 1], dtype=np.uint64)
+    return Chain(code.copy(), code.copy(), code.copy(), otf, costs, random)
+
+
+def own_tables(tables: Tables) -> Tables:
+    """Copy what a chain sorts for itself."""
+    return tables._replace(rows=tables.rows.copy(), scale=tables.scale.copy(), offset=tables.offset.copy())
+
+
+def refresh(tables: Tables, chain: Chain, chips: int) -> None:
+    """Sum a chain's OTF and cost anew, and sort its own tables, for frames of ``chips`` chips."""
+    fresh_otf(tables, chain.code, chips, chain.otf)
+    worst_first(tables, chain.otf)
+    chain.cost[0] = total_cost(tables, chips, chain.code, chain.otf)
+    if chain.cost[0] < chain.cost[1]:
+        chain.cost[1] = chain.cost[0]
+        chain.best[:] = chain.code
+
+
+def found_by(chain: Chain) -> NDArray[np.int8]:
+    """Codes (R, n) that a chain found best; the deepest is only kept for the minimum's objective."""
+    return np.stack([chain.best, chain.deepest] if chain.cost[2] > 0 else [chain.best])
