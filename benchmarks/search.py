@@ -19,6 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from cep.baselines.published import PUBLISHED
+from cep.bench.codes import code_rows
 from cep.certify.minimum import min_chip
 from cep.code import ShutterCode
 from cep.mtf import chip_noise_db, measure
@@ -56,24 +57,15 @@ def frontier(seconds: float, seed: int) -> None:
 def jeon(seconds: float, seed: int) -> None:
     print("| code | open | its min P | its noise, dB | our min P | our noise, dB | better | s |")
     print("|---|---|---|---|---|---|---|---|")
-    wins = 0
     names = sorted((name for name in PUBLISHED if name.startswith("jeon")), key=lambda name: PUBLISHED[name].chips)
-    for name in names:
-        theirs = PUBLISHED[name]
-        open_range = (theirs.open_chips, theirs.open_chips)
-        problem = SearchProblem(
-            chips=theirs.chips, open_range=open_range, objective=(("min-mtf", 0.05), ("noise", 1.0))
-        )
-        code, took = search(problem, seconds / 4, seed)
-        (a, b), (c, d) = figures(theirs), figures(code)
-        better = c > a and d < b
-        wins += better
+    rows = code_rows([(name, PUBLISHED[name]) for name in names], time_s=seconds / 4, seed=seed)
+    for row in rows:
+        (a, c), (b, d) = row.minima, row.noise_db
         print(
-            f"| {name} | {theirs.open_chips} | {a:.4f} | {b:.2f} | {c:.4f} | {d:.2f} "
-            f"| {'yes' if better else 'no'} | {took:.0f} |",
-            flush=True,
+            f"| {row.name} | {row.published.open_chips} | {a:.4f} | {b:.2f} | {c:.4f} | {d:.2f} "
+            f"| {'yes' if row.better else 'no'} | {row.seconds:.0f} |"
         )
-    print(f"\nbetter on both: {wins} of {len(names)}")
+    print(f"\nbetter on both: {sum(row.better for row in rows)} of {len(rows)}")
 
 
 def proven(seconds: float, seed: int) -> None:
