@@ -6,7 +6,7 @@ READY := $(VENV)/.ready
 OUT ?= demo
 PHOTO ?=
 
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint bench firmware clean
 
 help:
 	@echo "make demo             the whole chain on a bundled photo, to $(OUT)/report.html"
@@ -14,6 +14,7 @@ help:
 	@echo "make test             the tests"
 	@echo "make lint             ruff and strict mypy"
 	@echo "make bench            the benchmarks under benchmarks/"
+	@echo "make firmware         the shutter controller's firmware; MAX_ON_US=500 MAX_DUTY_PERMILLE=400 builds limits in"
 
 demo: $(READY)
 	$(BIN)/cep demo --force -o "$(OUT)" $(if $(PHOTO),--photo "$(PHOTO)")
@@ -29,9 +30,12 @@ lint: $(READY)
 bench: $(READY)
 	@for script in benchmarks/[a-z]*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
 
+firmware:
+	$(MAKE) -C hw/firmware/avr
+
 clean:
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis build dist *.egg-info
-	find cep -name '*.nb[ic]' -delete
+	rm -rf cep/__pycache__/compiled-*
 
 # The stamp is touched last: an interrupted installation is finished by the next make.
 $(READY): pyproject.toml constraints.txt

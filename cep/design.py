@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -101,6 +102,8 @@ def expected_psnr_db(
 def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> Mapping[str, int | None]:
     """Translate a device's limits on times into limits on chips, for :class:`cep.search.problem.SearchProblem`.
 
+    A code within them is one that :meth:`hw.device.DeviceProfile.check` passes, and the other way round.
+
     Parameters
     ----------
     profile : DeviceProfile
@@ -108,7 +111,9 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> Map
 
     Returns
     -------
-    mapping with ``min_open``, ``min_closed``, ``max_pulses`` and ``max_open``, the last two None when unlimited
+    mapping
+        ``min_open``, ``min_closed``, ``max_pulses``, ``max_open`` and ``min_period`` as the problem has them, and
+        ``most_open_chips`` of all runs together; the ones that set no limit are None, or 1.
 
     Raises
     ------
@@ -121,23 +126,57 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> Map
     bias_ns = profile.on_bias_ns
     least_open_ns = max(profile.min_on_ns or 0, profile.tick_ns if bias_ns else 0) + bias_ns
     least_closed_ns = max(profile.min_off_ns or 0, profile.dead_time_ns)
+    min_open, max_open = max(1, -(-least_open_ns // chip_ns)), None
+    if min_open > chips:
+        raise ValueError(
+            f"chips: {profile.name} opens for at least {least_open_ns / 1e6:g} ms, a code of {chips} chips lasts "
+            f"{chips * chip_ns / 1e6:g} ms; longer chips, or a faster shutter, would do"
+        )
+    if profile.max_on_ns is not None:
+        max_open = profile.max_on_ns // chip_ns
+        if max_open < 1:
+            raise ValueError(
+                f"chip_ns: {profile.name} opens for {profile.max_on_ns} ns at most, "
+                f"a chip must not last longer, got {chip_ns} ns"
+            )
+        if max_open < min_open:
+            raise ValueError(
+                f"chip_ns: {profile.name} opens for {least_open_ns} to {profile.max_on_ns} ns, "
+                f"no whole number of chips of {chip_ns} ns does; shorter chips would"
+            )
+    most_open_chips = None
+    if profile.max_duty is not None:
+        # the device compares rounded quotients: so do these two, or a code at the very limit would be refused
+        most_open_chips = bisect_right(range(1, chips + 1), profile.max_duty, key=lambda opened: opened / chips)
+        if most_open_chips < min_open:
+            raise ValueError(
+                f"chips: {profile.name} may be open for {profile.max_duty:g} of the time at most, "
+                f"too little for {min_open} of {chips} chips"
+            )
+    min_period = 1
+    if profile.max_rate_hz is not None:
+        # of chips, where every shorter one is too fast: a single opening is left
+        min_period += bisect_left(range(1, chips), -profile.max_rate_hz, key=lambda period: -1e9 / (period * chip_ns))
     return {
-        "min_open": max(1, -(-least_open_ns // chip_ns)),
+        "min_open": min_open,
         "min_closed": max(1, -(-least_closed_ns // chip_ns)),
         "max_pulses": profile.max_pulses,
-        "max_open": None if profile.max_duty is None else max(1, int(profile.max_duty * chips + 1e-9)),
+        "max_open": max_open,
+        "min_period": min_period,
+        "most_open_chips": most_open_chips,
     }
 
 
-def response_of_device(profile: DeviceProfile, chip_ns: int, *, bias_corrected: bool = False) -> ShutterResponse | None:
+def response_of_device(profile: DeviceProfile, chip_ns: int) -> ShutterResponse | None:
     """Describe how a device's shutter opens and closes around its edges, or None when it does so at once.
+
+    What the device adds to every opening by itself, ``on_bias_ns``, is no part of it: whoever commands the device
+    shortens the openings by as much.
 
     Parameters
     ----------
     profile : DeviceProfile
     chip_ns : int
-    bias_corrected : bool
-        Whether whoever commands the device shortens every opening by its own ``on_bias_ns``: none remains then.
 
     Raises
     ------
@@ -145,14 +184,13 @@ def response_of_device(profile: DeviceProfile, chip_ns: int, *, bias_corrected: 
         If the chip time is none of the device's, or opening or closing takes longer than a chip.
     """
     _check_chip(profile, chip_ns)
-    bias_ns = 0 if bias_corrected else profile.on_bias_ns
-    slowest = max(profile.rise_ns, profile.fall_ns + bias_ns)
+    slowest = max(profile.rise_ns, profile.fall_ns)
     if slowest > chip_ns:
         raise ValueError(
             f"chip_ns: {profile.name} takes {slowest} ns to open or close, "
             f"chips must last at least as long, got {chip_ns} ns"
         )
-    response = ShutterResponse(chip_ns=chip_ns, rise_ns=profile.rise_ns, fall_ns=profile.fall_ns, on_bias_ns=bias_ns)
+    response = ShutterResponse(chip_ns=chip_ns, rise_ns=profile.rise_ns, fall_ns=profile.fall_ns)
     return None if response.instant else response
 
 

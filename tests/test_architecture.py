@@ -25,10 +25,13 @@ HEAVY = {
 HEAVY_ALLOWED = {
     "numba": ("cep/compiled.py",),
     "torch": (  # torch packages and modules throughout
+        "cep/baselines/dce/",
         "motdiff/conditions.py",
         "motdiff/diffusion.py",
+        "motdiff/estimators/blinddps.py",
         "motdiff/estimators/motdiff/",
         "motdiff/estimators/pmp/",
+        "motdiff/estimators/selfdeblur/",
         "motdiff/grids.py",
         "motdiff/losses.py",
         "motdiff/network/",
@@ -46,6 +49,7 @@ LIGHT_CLI = {
     "dataclasses",
     "os",
     "pathlib",
+    "signal",
     "sys",
     "time",
     "traceback",

@@ -1,4 +1,4 @@
-"""``cep bench``: comparisons with what others published, run again here."""
+"""``cep bench``: comparisons with what others published, run again here; ``codes`` is here, the others beside."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cep.cli import bench_blind, bench_cep
 from cep.cli.console import finish, progress, table
 from cep.cli.options import Force, Json, Seed
 
@@ -19,9 +20,9 @@ bench = typer.Typer(help="Compare with what others published.", no_args_is_help=
 _FAMILY = "jeon"
 
 
-@bench.callback()
-def _group() -> None:
-    """Keep ``codes`` a command of its own while it is the only one."""
+bench.command("blind")(bench_blind.blind)
+bench.command("cep")(bench_cep.cep)
+bench.command("speed")(bench_blind.speed)
 
 
 @bench.command("codes")

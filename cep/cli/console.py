@@ -68,22 +68,22 @@ def explain(error: BaseException) -> int:
     if format_message is not None:
         complain(f"{format_message()} (see {_command_path(error)} --help)")
         return BAD_INPUT
+    notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))  # a shutter that may be open, for one
     if isinstance(error, OSError):
         import errno
 
         full_disk = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
         reason = error.strerror or str(error) or type(error).__name__
-        complain(f"{error.filename}: {reason}" if error.filename else reason)
+        complain((f"{error.filename}: {reason}" if error.filename else reason) + notes)
         return FAILURE if error.errno in full_disk else BAD_INPUT
     if isinstance(error, ValueError):
-        complain(str(error) or "wrong input")
+        complain((str(error) or "wrong input") + notes)
         return BAD_INPUT
     if isinstance(error, MemoryError):
         complain(f"not enough memory ({error}): use a smaller photo or crop it")
         return FAILURE
     kind = "" if isinstance(error, RuntimeError) else f"{type(error).__name__}: "
-    notes = "; ".join(getattr(error, "__notes__", ()))
-    complain(f"{kind}{error}" + (f"; {notes}" if notes else ""))
+    complain(f"{kind}{error}{notes}")
     return FAILURE
 
 

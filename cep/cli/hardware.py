@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cep.cli.console import finish
-from cep.cli.options import ChipNs, CodeSource, Force, Json, Seed, load_code
+from cep.cli.options import ChipNs, CodeSource, Force, Json, Seed
+from cep.cli.programs import ClockPpm, Device, LeaseMs, Port, load_program, program_figures
 
 if TYPE_CHECKING:
     from hw.device import DeviceProfile
+    from hw.drivers.blind import BlindDevice
+    from hw.drivers.report import UploadReport
     from hw.program import Program
 
 __all__ = ["export", "upload"]
 
-Device = Annotated[
-    str | None, typer.Option("--device", help="Check against this profile: a built-in name or a .toml file.")
-]
-
 
 def export(
     code: CodeSource,
-    file_format: Annotated[str, typer.Option("--format", "-f", help="c, csv or json.")],
+    file_format: Annotated[
+        str, typer.Option("--format", "-f", help="csv json vcd c arduino rp2 pulsepal scpi camera dmd")
+    ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write; CODE.SUFFIX when omitted.")
     ] = None,
@@ -35,110 +39,156 @@ def export(
 ) -> None:
     """Write a code as a timed shutter program, and read it back to prove the edges.
 
+    csv, json, vcd: its edges, for scripts and logic analysers. c: a header for firmware of your own. arduino, rp2: a
+    whole program for an Uno or a Pico. pulsepal, scpi: settings of a Pulse Pal or a waveform generator. camera, dmd: a
+    recipe for a multi-exposure camera or a micromirror array.
+
     Example: cep export code.json --format c -o shutter_code.h
     """
     from cep.outputs import claim, write_text
+    from hw.device import DeviceProfile
     from hw.drivers.report import Trust
     from hw.export import exporter
 
     chosen = exporter(file_format)
-    program = _program(code, chip_ns)
-    checks = _checks(program, device)
+    program, profile = load_program(code, chip_ns=chip_ns, device=device)
     target = output or Path(f"{Path(code).stem if code.endswith('.json') else 'code'}{chosen.suffix}")
     claim([target], force=force)
-    text = chosen.export(program)
+    text = chosen.export(program, profile or DeviceProfile(name="generic"))
     if chosen.parse_back(text) != program:
         raise RuntimeError(f"{target}: reading the {file_format} text back gave other edges, nothing was written")
     write_text(target, text)
     result = {
         "file": target,
         "format": file_format,
-        **_program_figures(program, checks),
-        "trust": Trust.FILE_ONLY.value,
+        **program_figures(program, profile),
+        "trust": Trust.C.value,
         "seed": seed,
     }
     finish(result, as_json=as_json, show=lambda console: console.print(
         f"{target}: {program.chips} chips of {program.chip_ns} ns, {program.pulses} openings, "
-        f"{program.duration_ns / 1e6:.4g} ms; read back, edges identical"
+        f"{program.duration_ns / 1e6:.4g} ms; read back, edges identical; trust C: {Trust.C.meaning}"
     ))  # fmt: skip
 
 
 def upload(
     code: CodeSource,
-    port: Annotated[str, typer.Option("--port", "-p", help="Serial port of the controller, as /dev/ttyACM0 or COM3.")],
+    port: Port,
     chip_ns: ChipNs = None,
+    driver: Annotated[
+        str, typer.Option("--driver", help="cxp (our firmware), pulse-pal, or scpi: --port is then a VISA resource.")
+    ] = "cxp",
     arm: Annotated[
         bool, typer.Option("--arm", help="Arm when the program is verified: the next trigger plays it.")
     ] = False,
-    lease_ms: Annotated[
-        int, typer.Option("--lease-ms", min=1, help="An armed controller disarms itself after this.")
-    ] = 10_000,
+    play: Annotated[bool, typer.Option("--play", help="Play it once, now, and wait for its end.")] = False,
+    lease_ms: LeaseMs = 10_000,
     device: Device = None,
+    clock_ppm: ClockPpm = 0.0,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Also write the report as JSON.")] = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Load a code into a CXP1 shutter controller, read it back, and arm it if wanted.
+    """Load a code into a shutter controller, read it back where it can be, and arm or play it if wanted.
+
+    Only cxp reads back, has a lease and takes --clock-ppm; the others stay armed until the next upload.
 
     Example: cep upload code.json --port /dev/ttyACM0 --arm
     """
     from cep.files import json_text
     from cep.outputs import claim, write_text
-    from hw.device import load_profile
-    from hw.drivers.cxp import Controller
 
-    program = _program(code, chip_ns)
-    profile = None if device is None else load_profile(device)
-    checks = _checks(program, device)
+    if driver not in _UPLOADS:
+        raise ValueError(f"--driver: must be one of {', '.join(_UPLOADS)}, got {driver[:40]!r}")
+    if arm and play:
+        raise ValueError("--arm and --play: give one of them, --play arms by itself")
+    if clock_ppm and driver != "cxp":
+        raise ValueError(f"--clock-ppm: {driver} cannot stretch chips, only cxp does")
+    program, profile = load_program(code, chip_ns=chip_ns, device=device)
     claim([output] if output else [], force=force)
-    with Controller.open(port) as controller:
-        report = controller.upload(program, profile=profile, arm=arm, lease_ms=lease_ms)
-    result = {
-        "port": port,
-        **_program_figures(program, checks),
-        "trust": report.trust.value,
-        "armed": report.armed,
-        "lease_ms": report.lease_ms,
-        "code_crc32": f"0x{report.code_crc32:08x}",
-        "retries": report.retries,
-        "seconds": report.seconds,
-        "seed": seed,
-    }
-    if output:
-        write_text(output, json_text(result))
-    armed = f"; armed for {report.lease_ms} ms" if report.armed else ""
+    wish = _Wish(program, profile, port, arm=arm, play=play, lease_ms=lease_ms, clock_ppm=clock_ppm)
+    with _UPLOADS[driver](wish) as report:
+        result = {
+            "port": report.port,
+            "driver": driver,
+            **program_figures(program, profile),
+            "firmware": report.firmware,
+            "trust": report.trust.value,
+            "read_back": report.read_back,
+            "armed": report.armed,
+            "played": play,
+            "lease_ms": report.lease_ms,
+            "clock_ppm": report.clock_ppm,
+            "retries": report.retries,
+            "seconds": report.seconds,
+            "warnings": report.warnings,
+            "seed": seed,
+        }
+        if output:
+            write_text(output, json_text(result))  # in here, since a command that fails must leave nothing armed
+    lease = f" for {report.lease_ms} ms" if report.lease_ms else ""
+    then = "; played once" if play else f"; armed{lease}" if report.armed else ""
+    trust = f"trust {report.trust}: {report.trust.meaning}"
     finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{port}: {program.chips} chips of {program.chip_ns} ns loaded, {report.trust.value}{armed}"
+        f"{report.port}: {program.chips} chips of {program.chip_ns} ns loaded, {trust}{then}"
     ))  # fmt: skip
 
 
-def _program(source: str, chip_ns: int | None) -> Program:
-    from hw.program import Program
+@dataclass(frozen=True)
+class _Wish:
+    """What is to be uploaded, where, and what then."""
 
-    code = load_code(source, chip_ns=chip_ns).code
-    return Program.from_bits(code.bits, chip_ns=code.chip_ns)
-
-
-def _checks(program: Program, device: str | None) -> dict[str, object]:
-    """Check against a profile; what breaks a limit is refused, all of it in one line."""
-    if device is None:
-        return {"device": None, "problems": []}
-    from hw.device import load_profile
-
-    profile: DeviceProfile = load_profile(device)
-    problems = profile.check(program)
-    if problems:
-        raise ValueError("the program cannot be played: " + "; ".join(problems))
-    return {"device": profile.name, "problems": []}
+    program: Program
+    profile: DeviceProfile | None
+    port: str
+    arm: bool
+    play: bool
+    lease_ms: int
+    clock_ppm: float
 
 
-def _program_figures(program: Program, checks: dict[str, object]) -> dict[str, object]:
-    return {
-        "chips": program.chips,
-        "chip_ns": program.chip_ns,
-        "runs": program.runs,
-        "edges": program.edges,
-        "duration_ns": program.duration_ns,
-        "checks": checks,
-    }
+@contextmanager
+def _to_cxp(wish: _Wish) -> Iterator[UploadReport]:
+    from hw.drivers.finding import open_controller
+
+    with open_controller(wish.port) as controller:
+        report = controller.upload(
+            wish.program, profile=wish.profile, arm=wish.arm or wish.play, lease_ms=wish.lease_ms,
+            clock_ppm=wish.clock_ppm,
+        )  # fmt: skip
+        if wish.play:
+            controller.trigger()
+            controller.wait(timeout_s=1.1e-9 * wish.program.duration_ns + 2)
+            report = replace(report, armed=False, lease_ms=None)
+        yield report
+
+
+@contextmanager
+def _to_pulse_pal(wish: _Wish) -> Iterator[UploadReport]:
+    from hw.drivers.pulsepal import PulsePal
+
+    with PulsePal.open(wish.port) as pulse_pal:
+        yield _to_blind(pulse_pal, wish)
+
+
+@contextmanager
+def _to_scpi(wish: _Wish) -> Iterator[UploadReport]:
+    from hw.drivers.scpi import ScpiAwg
+
+    with ScpiAwg.open(wish.port) as generator:
+        yield _to_blind(generator, wish)
+
+
+def _to_blind(device: BlindDevice, wish: _Wish) -> UploadReport:
+    report = device.upload(wish.program, profile=wish.profile, arm=wish.arm)
+    if wish.play:
+        device.play()
+    return report
+
+
+_UPLOADS: dict[str, Callable[[_Wish], AbstractContextManager[UploadReport]]] = {
+    "cxp": _to_cxp,
+    "pulse-pal": _to_pulse_pal,
+    "scpi": _to_scpi,
+}

@@ -5,17 +5,30 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-from cep.cli import bench, calibrate, code, deblur, demo, hardware, optimize, pareto, simulate
-from cep.cli.console import FAILURE, INTERRUPTED, complain, explain
+from cep.cli import bench, calibrate, code, controller, deblur, demo, hardware, optimize, pareto, simulate
+from cep.cli.console import FAILURE, INTERRUPTED, complain, explain, warn
 
 __all__ = ["app", "main", "run"]
 
+
+class _Commands(TyperGroup):
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as error:
+            for note in getattr(error, "__notes__", ()):  # typer drops them
+                warn(note)
+            raise
+
+
 app = typer.Typer(
     name="cep",
+    cls=_Commands,
     help="Coded exposure: from one blurred photo to the shutter code for its motion, and back to a sharp photo.",
     epilog="Begin with: cep demo -o demo",
     add_completion=False,
@@ -44,6 +57,7 @@ app.command("simulate")(simulate.simulate)
 app.command("deblur")(deblur.deblur)
 app.command("export")(hardware.export)
 app.command("upload")(hardware.upload)
+app.add_typer(controller.hw, name="hw")
 app.add_typer(bench.bench, name="bench")
 app.command("demo")(demo.demo)
 
@@ -74,5 +88,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run() -> None:
-    """Console entry point."""
+    """Console entry point; being ended from outside closes a shutter as Ctrl-C does."""
+    import signal
+
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name) and signal.getsignal(getattr(signal, name)) is signal.SIG_DFL:
+            signal.signal(getattr(signal, name), signal.default_int_handler)
     sys.exit(main())

@@ -50,7 +50,11 @@ def optimize(
         str, typer.Option("--direction", help="unknown (both ways count), forward, or auto: as the file says.")
     ] = "auto",
     min_open: Annotated[int, typer.Option("--min-open", min=1, help="Shortest open run, chips.")] = 1,
+    max_open: Annotated[int | None, typer.Option("--max-open", min=1, help="Longest open run, chips.")] = None,
     min_closed: Annotated[int, typer.Option("--min-closed", min=1, help="Shortest closed run, chips.")] = 1,
+    min_period: Annotated[
+        int, typer.Option("--min-period", min=1, help="Fewest chips from one opening to the next.")
+    ] = 1,
     max_pulses: Annotated[int | None, typer.Option("--max-pulses", min=1, help="Most open runs.")] = None,
     first_open: Annotated[bool, typer.Option("--first-open", help="The first chip is open.")] = False,
     last_open: Annotated[bool, typer.Option("--last-open", help="The last chip is open.")] = False,
@@ -134,8 +138,9 @@ def optimize(
         raise ValueError(f"--bound: must be quick or sdp, got {effort!r}")
     wish = Wish(
         chips=chips, chip_ns=chip_ns, open_chips=open_chips, duty=duty, objective=objective, direction=direction,
-        min_open=min_open, min_closed=min_closed, max_pulses=max_pulses, first_open=first_open, last_open=last_open,
-        fixed=fixed, alternatives=alternatives, speed=speed, drift=drift, jitter=jitter, rule=rule,
+        min_open=min_open, max_open=max_open, min_closed=min_closed, min_period=min_period, max_pulses=max_pulses,
+        first_open=first_open, last_open=last_open, fixed=fixed, alternatives=alternatives, speed=speed, drift=drift,
+        jitter=jitter, rule=rule,
     )  # fmt: skip
     stored = load_motion(trajectory, linear)
     motion = stored.trajectory
@@ -158,7 +163,9 @@ def optimize(
         "open_range": problem.open_limits,
         "objective": problem.objective,
         "min_open": problem.min_open,
+        "max_open": problem.max_open,
         "min_closed": problem.min_closed,
+        "min_period": problem.min_period,
         "max_pulses": problem.max_pulses,
         "fixed": problem.fixed,
         "device": device,

@@ -43,7 +43,11 @@ def pareto(
         str, typer.Option("--direction", help="unknown (both ways count), forward, or auto: as the file says.")
     ] = "auto",
     min_open: Annotated[int, typer.Option("--min-open", min=1, help="Shortest open run, chips.")] = 1,
+    max_open: Annotated[int | None, typer.Option("--max-open", min=1, help="Longest open run, chips.")] = None,
     min_closed: Annotated[int, typer.Option("--min-closed", min=1, help="Shortest closed run, chips.")] = 1,
+    min_period: Annotated[
+        int, typer.Option("--min-period", min=1, help="Fewest chips from one opening to the next.")
+    ] = 1,
     max_pulses: Annotated[int | None, typer.Option("--max-pulses", min=1, help="Most open runs.")] = None,
     chip_ns: Annotated[int, typer.Option("--chip-ns", min=1, help="Chip time, ns.")] = 1_000_000,
     camera: CameraFile = None,
@@ -103,6 +107,8 @@ def pareto(
         min_open=min_open,
         min_closed=min_closed,
         max_pulses=max_pulses,
+        max_open=max_open,
+        min_period=min_period,
         camera=load_camera(camera, photons=photons, read_noise=read_noise),
     )
     claim([output, picture], force=force)
@@ -127,7 +133,9 @@ def pareto(
             "open_range": problem.open_limits,
             "direction": direction,
             "min_open": min_open,
+            "max_open": max_open,
             "min_closed": min_closed,
+            "min_period": min_period,
             "max_pulses": max_pulses,
             "camera": problem.camera.to_dict(),
             "steps": front.steps,

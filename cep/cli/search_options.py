@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,9 @@ class Wish:
     objective: str | None
     direction: str
     min_open: int
+    max_open: int | None
     min_closed: int
+    min_period: int
     max_pulses: int | None
     first_open: bool
     last_open: bool
@@ -56,19 +59,18 @@ def problem_of(
     from cep.band import uniform_length_px
     from cep.design import limits_of_device, response_of_device
     from cep.search.problem import SearchProblem
+    from hw.device import DeviceProfile
 
     if wish.direction not in DIRECTIONS:
         raise ValueError(f"--direction: must be one of {', '.join(DIRECTIONS)}, got {wish.direction!r}")
     low, high = open_limits(wish.chips, wish.open_chips, wish.duty)
-    device: dict[str, Any] = {"min_open": 1, "min_closed": 1, "max_pulses": None, "max_open": None}
-    if profile is not None:
-        device |= limits_of_device(profile, chips=wish.chips, chip_ns=wish.chip_ns)
-    most = device["max_open"]
+    shutter = profile or DeviceProfile(name="any")
+    device: Mapping[str, Any] = limits_of_device(shutter, chips=wish.chips, chip_ns=wish.chip_ns)
+    most = device["most_open_chips"]
     if most is not None:
         if most < low:
             raise ValueError(
-                f"{profile.name if profile else ''}: at most {most} of {wish.chips} chips may be open, "
-                f"at least {low} were asked for"
+                f"{shutter.name}: at most {most} of {wish.chips} chips may be open, at least {low} were asked for"
             )
         high = min(high, most)
     straight = uniform_length_px(stored.trajectory) is not None
@@ -81,7 +83,9 @@ def problem_of(
         rule=wish.rule,  # type: ignore[arg-type]
         min_open=max(wish.min_open, device["min_open"]),
         min_closed=max(wish.min_closed, device["min_closed"]),
-        max_pulses=min((v for v in (wish.max_pulses, device["max_pulses"]) if v is not None), default=None),
+        max_pulses=_smallest(wish.max_pulses, device["max_pulses"]),
+        max_open=_smallest(wish.max_open, device["max_open"]),
+        min_period=max(wish.min_period, device["min_period"]),
         camera=camera,
         fixed=_mask(wish),
         response=None if profile is None else response_of_device(profile, wish.chip_ns),
@@ -119,6 +123,10 @@ def open_limits(chips: int, open_chips: str | None, duty: str | None) -> tuple[i
     if not 1 <= least <= most <= chips:
         raise ValueError(f"--open: must lie within 1..{chips}, got {open_chips}")
     return least, most
+
+
+def _smallest(*limits: int | None) -> int | None:
+    return min((limit for limit in limits if limit is not None), default=None)
 
 
 def _objective(text: str) -> str | tuple[tuple[str, float], ...]:

@@ -1,24 +1,27 @@
 """Random codes within limits, every one of them equally likely; and how many there are.
 
 Without forced chips the codes of k open chips in p pulses are pairs of compositions (k into p runs, the rest into p + 1
-gaps), a closed form. Forced chips need dynamic programming over the walks of :mod:`cep.search.limits`.
+gaps), a closed form. Forced chips, a longest run and a least period need dynamic programming over the walks of
+:mod:`cep.search.limits`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import zip_longest
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.search.limits import Limits
+from cep.search.limits import CLOSED, OPEN, OVER, Limits, Step
 
 __all__ = ["draw", "log_count"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
-_MOST_NUMBERS = 2**23  # of a table: 64 MB
+_MOST_NUMBERS = 3 * 2**22  # of a table: 96 MB
 _TILT_BATCH = 256
 _TILT_ACCEPTED = 0.25  # of the walks drawn with a weight on their pulses must keep the limit on them
 
@@ -26,10 +29,11 @@ _TILT_ACCEPTED = 0.25  # of the walks drawn with a weight on their pulses must k
 def draw(limits: Limits, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
     """Draw ``count`` codes within feasible limits, (count, n) of 0 and 1.
 
-    All codes are equally likely, with one exception: if chips are forced, and the table over open chips and pulses
-    would exceed 2^23 numbers (as for 512 chips and 16 pulses), codes of few pulses are somewhat likelier than others.
+    All codes are equally likely, with one exception: if chips are forced or runs limited by ``max_open`` or
+    ``min_period``, and the table over open chips and pulses would exceed 12 million numbers (as for 512 chips and 16
+    pulses), codes of few pulses are somewhat likelier than others.
     """
-    if limits.fixed is None:
+    if _free(limits):
         return _draw_free(limits, count, rng)
     if _size(limits, counting_pulses=True) <= _MOST_NUMBERS:
         return _walks(limits, True, 0.0).draw(count, rng)
@@ -42,28 +46,32 @@ def log_count(limits: Limits) -> float:
     Raises
     ------
     ValueError
-        If chips are forced and the table would be too large.
+        If the table would be too large; see :func:`draw`.
 
     Examples
     --------
     >>> round(np.exp(log_count(Limits(6, (2, 2), min_closed=2))))  # 1001 010010 ...: neighbours, or two apart
     11
     """
-    if limits.fixed is None:
+    if _free(limits):
         return float(np.logaddexp.reduce(_free_table(limits), axis=None))
     if _size(limits, counting_pulses=True) > _MOST_NUMBERS:
-        raise ValueError(f"limits: codes of {limits.chips} chips with forced ones are too many to count")
+        raise ValueError(f"limits: codes of {limits.chips} chips within these are too many to count")
     return float(np.logaddexp.reduce(_walks(limits, True, 0.0).by_count))
 
 
-# -- no chip is forced: compositions --------------------------------------------------------------------------------
+# -- no chip is forced, no pulse's length decides what may follow: compositions -------------------------------------
+
+
+def _free(limits: Limits) -> bool:
+    return limits.fixed is None and not limits.counts_runs
 
 
 @lru_cache(maxsize=4)
 def _free_table(limits: Limits) -> FloatArray:
     """Logarithm of the number of codes with k open chips (row k) in p pulses (column p), (n + 1, p + 1)."""
     n, low, high = limits.chips, max(limits.open_range[0], 1), min(limits.open_range[1], limits.chips)
-    most = limits.most_pulses or (n + limits.min_closed) // (limits.min_open + limits.min_closed)
+    most = limits.most_pulses or limits.fitting_pulses
     k, p = np.arange(n + 1)[:, None], np.arange(most + 1)[None]
     spare_open, spare_closed = k - p * limits.min_open, n - k - (p - 1) * limits.min_closed
     possible = (k >= low) & (k <= high) & (p >= 1) & (spare_open >= 0) & (spare_closed >= 0)
@@ -114,21 +122,29 @@ def _filled(chips: int, starts: IntArray, ends: IntArray, used: NDArray[np.bool_
     return np.cumsum(steps, axis=1, dtype=np.int8)[:, :-1]
 
 
-# -- chips are forced: walks ----------------------------------------------------------------------------------------
+# -- otherwise: walks -----------------------------------------------------------------------------------------------
+
+
+class _StepTables(NamedTuple):
+    """Steps from CLOSED and OPEN as :class:`cep.search.limits.Step` has them, (2, S)."""
+
+    opened: IntArray
+    closed: IntArray
+    then: IntArray
+    pulses: IntArray
+    fits: NDArray[np.bool_]  # (2, S, n + 1)
 
 
 @dataclass(frozen=True)
 class _Walks:
     """Logarithms of the number of ways to go on, per state, position, open chips to come, and pulses that may come.
 
-    State 0 is closed and 1 open. Where the open chips or the pulses are free, their axis has length 1 and nothing moves
-    along it.
+    Where the open chips or the pulses are free, their axis has length 1 and nothing moves along it.
     """
 
     limits: Limits
-    ways: FloatArray  # (2, n + 1, K, P)
-    may_stay: NDArray[np.bool_]  # (2, n + 1): whether the next chip may be as the state is
-    may_turn: NDArray[np.bool_]  # (2, n + 1): whether the shortest run of the other state may begin
+    ways: FloatArray  # (3, n + 1, K, P)
+    steps: _StepTables
     opens: int  # steps along the axis of open chips that one of them takes: 1, or 0 when they are free
     pulses: int
     tilt: float  # added per pulse
@@ -137,58 +153,50 @@ class _Walks:
     def by_count(self) -> FloatArray:
         """Logarithms of the number of codes for each number of open chips in their range, or for all together."""
         low, high = self.limits.open_range if self.opens else (0, 0)
-        return self.ways[0, 0, low : high + 1, -1]
+        return self.ways[CLOSED, 0, low : high + 1, -1]
 
     def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
-        limits, n = self.limits, self.limits.chips
-        turning, rest = np.array([limits.min_open, limits.min_closed]), limits.rest()
-        left = _pick(self.by_count, count, rng) + (limits.open_range[0] if self.opens else 0)
+        n, steps = self.limits.chips, self.steps
+        left = _pick(self.by_count, count, rng) + (self.limits.open_range[0] if self.opens else 0)
         budget, place = np.full(count, self.ways.shape[3] - 1), np.zeros(count, dtype=np.intp)
-        state, steps = np.zeros(count, dtype=np.intp), np.zeros((count, n + 1), dtype=np.int8)
+        state, edges = np.full(count, CLOSED, dtype=np.intp), np.zeros((count, n + 1), dtype=np.int8)
         rows = np.arange(count)
         while rows.size:
-            here, k, p, now = place[rows], left[rows], budget[rows], state[rows]
-            after = np.stack([here + 1, here + turning[now]])
-            k_after = k - self.opens * np.stack([now, limits.min_open * (1 - now)])
-            p_after = p - self.pulses * np.stack([0 * now, 1 - now])
-            possible = np.stack([self.may_stay[now, here], self.may_turn[now, here]]) & (k_after >= 0) & (p_after >= 0)
-            found = self.ways[np.stack([now, 1 - now]), np.minimum(after, n), k_after.clip(0), p_after.clip(0)]
-            found[1] += self.tilt * (1 - now)
-            # a walk that is open may also end, if the rest may be closed and no open chip is still to come
-            end = np.where((now == 1) & rest[here] & (k == 0), 0.0, -np.inf)
-            weights = np.concatenate([np.where(possible, found, -np.inf), end[None]])
-            share = np.exp(weights - weights.max(axis=0))
-            total = share.sum(axis=0)
-            drawn = np.minimum(rng.random(rows.size) * total, np.nextafter(total, 0))
-            choice = (drawn >= share[0]).astype(np.intp) + (drawn >= share[0] + share[1])
-            moves, each = np.minimum(choice, 1), np.arange(rows.size)
-            steps[rows, here] += np.where(choice > 0, 1 - 2 * now, 0).astype(np.int8)
-            place[rows], left[rows], budget[rows] = after[moves, each], k_after[moves, each], p_after[moves, each]
-            state[rows] = now ^ moves
-            rows = rows[choice < 2]
-        return np.cumsum(steps, axis=1, dtype=np.int8)[:, :-1]
+            here, now = place[rows], state[rows]
+            opened, then, starts = steps.opened[now].T, steps.then[now].T, steps.pulses[now].T  # (S, R)
+            after = here + opened + steps.closed[now].T
+            k, p = left[rows] - self.opens * opened, budget[rows] - self.pulses * starts
+            possible = steps.fits[now, :, here].T & (k >= 0) & (p >= 0)
+            found = self.ways[then, np.minimum(after, n), k.clip(0), p.clip(0)] + self.tilt * starts
+            weights = np.where(possible, found, -np.inf)
+            share = np.cumsum(np.exp(weights - weights.max(axis=0)), axis=0)
+            drawn = np.minimum(rng.random(rows.size) * share[-1], np.nextafter(share[-1], 0))
+            taken = (drawn >= share[:-1]).sum(axis=0), np.arange(rows.size)
+            edges[rows, here] += starts[taken].astype(np.int8)
+            pulse_ends = ((now == OPEN) | (starts[taken] == 1)) & (then[taken] != OPEN)
+            edges[rows, here + opened[taken]] -= pulse_ends.astype(np.int8)
+            place[rows], left[rows], budget[rows], state[rows] = after[taken], k[taken], p[taken], then[taken]
+            rows = rows[then[taken] != OVER]
+        return np.cumsum(edges, axis=1, dtype=np.int8)[:, :-1]
 
 
 @lru_cache(maxsize=2)
 def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
-    n, runs, gap = limits.chips, limits.min_open, limits.min_closed
+    n, steps = limits.chips, limits.steps()
     most = limits.most_pulses if counting_pulses else None
     opens, pulses = int(limits.counts_opens), int(most is not None)
-    ways = np.full((2, n + 1, limits.open_range[1] * opens + 1, (most or 0) + 1), -np.inf)
-    closed, opened = ways
-    may_stay, may_turn = np.zeros((2, n + 1), dtype=np.bool_), np.stack([limits.room(1, runs), limits.room(0, gap)])
-    may_stay[:, :n] = limits.may_be(0), limits.may_be(1)
-    opened[limits.rest(), 0] = 0.0
+    ways = np.full((3, n + 1, limits.open_range[1] * opens + 1, (most or 0) + 1), -np.inf)
+    ways[OVER, limits.rest(), 0] = 0.0
     for i in reversed(range(n + 1)):
-        if may_stay[1, i]:
-            _add(opened[i], opened[i + 1], opens, 0)
-        if may_turn[1, i]:
-            _add(opened[i], closed[i + gap], 0, 0)
-        if may_stay[0, i]:
-            _add(closed[i], closed[i + 1], 0, 0)
-        if may_turn[0, i]:
-            _add(closed[i], opened[i + runs] + tilt, runs * opens, pulses)
-    return _Walks(limits, ways, may_stay, may_turn, opens, pulses, tilt)
+        for state in (CLOSED, OPEN):
+            for opened, closed, then, starts, fits in steps[state]:
+                if fits[i]:
+                    onwards = ways[then, i + opened + closed] + tilt * starts
+                    _add(ways[state, i], onwards, opened * opens, pulses * starts)
+    # the state with fewer steps is given some that never fit
+    rows = list(zip(*zip_longest(*steps, fillvalue=Step(0, 0, OVER, 0, np.zeros(n + 1, dtype=np.bool_))), strict=True))
+    columns = ([[step[field] for step in row] for row in rows] for field in range(len(Step._fields)))
+    return _Walks(limits, ways, _StepTables(*map(np.array, columns)), opens, pulses, tilt)
 
 
 def _add(total: FloatArray, ways: FloatArray, opens: int, pulses: int) -> None:
@@ -201,7 +209,7 @@ def _add(total: FloatArray, ways: FloatArray, opens: int, pulses: int) -> None:
 def _size(limits: Limits, *, counting_pulses: bool) -> int:
     opens = limits.open_range[1] + 1 if limits.counts_opens else 1
     pulses = (limits.most_pulses or 0) + 1 if counting_pulses else 1
-    return 2 * (limits.chips + 1) * opens * pulses
+    return 3 * (limits.chips + 1) * opens * pulses
 
 
 def _draw_tilted(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[np.int8]:

@@ -1,23 +1,46 @@
-"""Which codes keep every limit at once: whether there are any, which limits conflict, and which are forced open.
+"""Limits of a code, and the codes that keep them as walks.
 
-A code is a walk between two states. *Closed* may stay closed or start a pulse, *open* may stay open, close for a gap,
-or close for good; a pulse starts with ``min_open`` chips at once and a gap with ``min_closed``, so no state needs to
-count a run. Every code within the limits is exactly one walk.
+A code is a walk between states. *Closed* may stay closed or start a pulse, *open* may stay open, close for a gap, or
+close for good (*over*); a pulse starts with ``min_open`` chips at once and a gap with ``min_closed``, so no state needs
+to count a run. Where a pulse may become too long, or end too early for the next one's start, each of its lengths is a
+step of its own, from closed to the end of its gap. Every code within the limits is exactly one walk.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Limits", "check_feasible", "checked_mask", "conflicting", "feasible", "fixed_mask"]
+__all__ = ["CLOSED", "OPEN", "OVER", "Limits", "Step", "checked_mask", "fixed_mask"]
 
 BoolArray = NDArray[np.bool_]
-_NEVER = 1 << 30  # pulses of a code that does not exist
+CLOSED, OPEN, OVER = 0, 1, 2  # states of a walk
+
+
+class Step(NamedTuple):
+    """A step of a walk.
+
+    Attributes
+    ----------
+    opened, closed : int
+        Chips that it opens, and then closes.
+    then : int
+        State that it leads to: CLOSED, OPEN, or OVER, where all that follows is closed.
+    pulses : int
+        1 if it starts a pulse, else 0.
+    fits : (n + 1,) bool
+        Whether the forced chips and the code's length allow it at each chip.
+    """
+
+    opened: int
+    closed: int
+    then: int
+    pulses: int
+    fits: BoolArray
 
 
 @dataclass(frozen=True)
@@ -35,6 +58,10 @@ class Limits:
         Most open runs.
     fixed : str, optional
         One character per chip: "1" forced open, "0" forced closed, "?" free.
+    max_open : int, optional
+        Longest open run.
+    min_period : int
+        Fewest chips from the start of one open run to the start of the next.
     """
 
     chips: int
@@ -43,6 +70,29 @@ class Limits:
     min_closed: int = 1
     max_pulses: int | None = None
     fixed: str | None = None
+    max_open: int | None = None
+    min_period: int = 1
+
+    @property
+    def counts_runs(self) -> bool:
+        """Whether a pulse's length decides what may follow: on its longest length, or on the gap after it."""
+        return self.longest < self.chips or self.period > self.min_open + self.min_closed
+
+    @property
+    def longest(self) -> int:
+        """Longest open run that any code within the light can have."""
+        light = min(self.open_range[1], self.chips)
+        return self.chips if self.max_open is None or self.max_open >= light else self.max_open
+
+    @property
+    def period(self) -> int:
+        """Fewest chips from the start of one pulse to the start of the next, whichever limit says so."""
+        return max(self.min_period, self.min_open + self.min_closed)
+
+    @property
+    def fitting_pulses(self) -> int:
+        """Most pulses for which there is time."""
+        return 1 + (self.chips - self.min_open) // self.period
 
     @property
     def counts_opens(self) -> bool:
@@ -52,8 +102,7 @@ class Limits:
     @property
     def most_pulses(self) -> int | None:
         """Most pulses, or None when so many never fit anyway."""
-        fitting = (self.chips + self.min_closed) // (self.min_open + self.min_closed)
-        return None if self.max_pulses is None or self.max_pulses >= fitting else self.max_pulses
+        return None if self.max_pulses is None or self.max_pulses >= self.fitting_pulses else self.max_pulses
 
     def may_be(self, bit: int) -> BoolArray:
         """Which chips (n,) the mask lets be open (1) or closed (0)."""
@@ -71,6 +120,25 @@ class Limits:
     def rest(self) -> BoolArray:
         """Whether every chip from each one on may be closed, (n + 1,)."""
         return np.concatenate([np.logical_and.accumulate(self.may_be(0)[::-1])[::-1], [True]])
+
+    def steps(self) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
+        """List the steps from CLOSED and those from OPEN."""
+        gap, rest = self.min_closed, self.rest()
+
+        def step(opened: int, closed: int, then: int, pulses: int = 0) -> Step:
+            fits, after = self.room(1, opened), rest if then == OVER else self.room(0, closed)
+            fits[: after.size - opened] &= after[opened:]
+            return Step(opened, closed, then, pulses, fits)
+
+        bounded = self.longest < self.chips
+        # longer pulses may last and end as they like: nothing needs to remember when they began
+        free = min(max(self.min_open, self.min_period - gap), self.chips + 1)
+        closed = [step(0, 1, CLOSED)]
+        if not bounded:
+            closed.append(step(free, 0, OPEN, 1))
+        for length in range(self.min_open, self.longest + 1 if bounded else free):
+            closed += [step(length, max(gap, self.min_period - length), CLOSED, 1), step(length, 0, OVER, 1)]
+        return tuple(closed), (step(1, 0, OPEN), step(0, gap, CLOSED), step(0, 0, OVER))
 
 
 def fixed_mask(
@@ -128,84 +196,3 @@ def checked_mask(fixed: str | None, chips: int) -> str | None:
     if len(fixed) != chips:
         raise ValueError(f"fixed: must have one character for each of {chips} chips, got {len(fixed)}")
     return None if set(fixed) == {"?"} else fixed
-
-
-@lru_cache(maxsize=64)
-def feasible(limits: Limits) -> bool:
-    """Whether any code keeps the limits, exactly."""
-    low, high = max(limits.open_range[0], 1), min(limits.open_range[1], limits.chips)
-    if low > high or limits.min_open > high:
-        return False
-    if limits.fixed is None:
-        return True  # one pulse of any length from min_open on
-    fewest = _fewest_pulses(limits)[low : high + 1].min()
-    return bool(fewest <= (limits.chips if limits.max_pulses is None else limits.max_pulses))
-
-
-def conflicting(limits: Limits) -> tuple[str, ...]:
-    """Name limits that no code keeps together, though it could if any one of them were dropped; none if feasible."""
-    dropped = {
-        "open_range": replace(limits, open_range=(1, limits.chips)).open_range,
-        "min_open": 1,
-        "min_closed": 1,
-        "max_pulses": None,
-        "fixed": None,
-    }
-    if feasible(limits):
-        return ()
-    kept = []
-    for name, none in dropped.items():
-        if getattr(limits, name) == none:
-            continue
-        without = replace(limits, **{name: none})  # type: ignore[arg-type]
-        if feasible(without):
-            kept.append(name)
-        else:
-            limits = without
-    return tuple(kept)
-
-
-def check_feasible(limits: Limits) -> None:
-    """Refuse limits that no code keeps.
-
-    Raises
-    ------
-    ValueError
-        The line names a smallest set of limits that conflict.
-    """
-    names = conflicting(limits)
-    if not names:
-        return
-    marks = limits.fixed or ""
-    values = {
-        "open_range": "{}..{}".format(*limits.open_range),
-        "fixed": f"({marks.count('1')} forced open, {marks.count('0')} forced closed)",
-    }
-    words = [f"{name} {values.get(name, getattr(limits, name))}" for name in names]
-    code = f"no code of {limits.chips} chips keeps"
-    if len(words) == 1:
-        raise ValueError(f"{words[0]}: {code} it")
-    listed = f"{', '.join(words[:-1])} and {words[-1]}"
-    raise ValueError(f"{listed} conflict: {code} {'both' if len(words) == 2 else f'all {len(words)}'}")
-
-
-def _fewest_pulses(limits: Limits) -> NDArray[np.int64]:
-    """Fewest pulses of a code with each number of open chips, (n + 1,): a shortest walk from the end."""
-    n, runs, gap = limits.chips, limits.min_open, limits.min_closed
-    pulse_fits, gap_fits = limits.room(1, runs), limits.room(0, gap)
-    open_fits, closed_fits, rest = limits.may_be(1), limits.may_be(0), limits.rest()
-    closed = np.full((n + 1, n + 1), _NEVER, dtype=np.int64)  # position, open chips to come
-    opened = closed.copy()
-    opened[n, 0] = 0
-    for i in reversed(range(n)):
-        if closed_fits[i]:
-            closed[i] = closed[i + 1]
-        if pulse_fits[i]:
-            closed[i, runs:] = np.minimum(closed[i, runs:], opened[i + runs, : n + 1 - runs] + 1)
-        if open_fits[i]:
-            opened[i, 1:] = opened[i + 1, :-1]
-        if gap_fits[i]:
-            opened[i] = np.minimum(opened[i], closed[i + gap])
-        if rest[i]:
-            opened[i, 0] = 0
-    return np.asarray(np.minimum(closed[0], _NEVER), dtype=np.int64)

@@ -15,7 +15,8 @@ from cep.mtf import CodeMetrics, measure, worst_of
 from cep.playing import check_lengths, checked_edges
 from cep.response import ShutterResponse
 from cep.search.drawing import draw
-from cep.search.limits import Limits, check_feasible, checked_mask
+from cep.search.feasibility import check_feasible
+from cep.search.limits import Limits, checked_mask
 from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
@@ -49,6 +50,11 @@ class SearchProblem:
         Shortest open run, and shortest closed run between two open ones, chips.
     max_pulses : int, optional
         Most open runs.
+    max_open : int, optional
+        Longest open run, chips.
+    min_period : int
+        Fewest chips from the start of one open run to the start of the next. Codes are not their mirror image's equals
+        then: it swaps starts and ends.
     camera : Camera
         For the objective "mse".
     fixed : str, optional
@@ -71,14 +77,17 @@ class SearchProblem:
     min_open: int = 1
     min_closed: int = 1
     max_pulses: int | None = None
+    max_open: int | None = None
+    min_period: int = 1
     camera: Camera = field(default_factory=Camera)
     fixed: str | None = None
     response: ShutterResponse | None = None
 
     def __post_init__(self) -> None:
-        for name in ("chips", "min_open", "min_closed", "max_pulses"):
+        for name in ("chips", "min_open", "min_closed", "max_pulses", "max_open", "min_period"):
             value = getattr(self, name)
-            if not (name == "max_pulses" and value is None) and (not isinstance(value, int) or value < 1):
+            unlimited = name in ("max_pulses", "max_open") and value is None
+            if not unlimited and (not isinstance(value, int) or value < 1):
                 raise ValueError(f"{name}: must be a whole number of at least 1, got {value!r}")
         for name, allowed in (("direction", ("auto", "unknown", "forward")), ("rule", ("worst", "mean"))):
             if getattr(self, name) not in allowed:
@@ -118,16 +127,30 @@ class SearchProblem:
         return max(low, self.min_open), high
 
     @property
-    def constrained(self) -> bool:
-        """Whether any limit is set besides the number of open chips: on runs, pulses or single chips."""
-        runs = self.min_open > 1 or self.min_closed > 1 or self.max_pulses is not None
-        return runs or self.fixed is not None
+    def limits_runs(self) -> bool:
+        """Whether runs, pulses or their period are limited, so that single flips and swaps seldom lead anywhere."""
+        bounded = self.max_pulses is not None or self.max_open is not None
+        return bounded or max(self.min_open, self.min_closed, self.min_period) > 1
+
+    @property
+    def mirrors(self) -> bool:
+        """Whether a code's mirror image keeps the limits on runs as well."""
+        return self.limits.period == self.min_open + self.min_closed
 
     @property
     def limits(self) -> Limits:
         """Everything that a code must keep."""
         low, high = self.open_range or (1, self.chips)
-        return Limits(self.chips, (low, high), self.min_open, self.min_closed, self.max_pulses, self.fixed)
+        return Limits(
+            self.chips,
+            (low, high),
+            self.min_open,
+            self.min_closed,
+            self.max_pulses,
+            self.fixed,
+            self.max_open,
+            self.min_period,
+        )
 
     def both_directions(self, trajectory: Trajectory) -> bool:
         """Whether the reversed path is designed for as well; a uniform straight one is its own mirror image."""
@@ -159,8 +182,14 @@ class SearchProblem:
             # before the first and after the last pulse the shutter is closed for longer than any limit
             closed = np.pad(~is_open, ((0, 0), (self.min_closed, self.min_closed)), constant_values=True)
             ok &= (_opening(closed, self.min_closed) == closed).all(axis=1)
+        if self.max_open is not None and self.max_open < self.chips:
+            ok &= ~_opening(is_open, self.max_open + 1).any(axis=1)
         if self.max_pulses is not None:
-            ok &= np.diff(is_open.astype(np.int8), axis=1, prepend=0).clip(0).sum(axis=1) <= self.max_pulses
+            ok &= _starts(is_open).sum(axis=1) <= self.max_pulses
+        if self.min_period > 1:
+            period = min(self.min_period, self.chips)
+            begun = np.pad(_starts(is_open).cumsum(axis=1), ((0, 0), (1, 0)))  # pulses before each chip
+            ok &= (begun[:, period:] - begun[:, :-period] <= 1).all(axis=1)
         if self.fixed is not None:
             marks = np.frombuffer(self.fixed.encode(), dtype=np.uint8)
             ok &= ((marks == ord("?")) | (is_open == (marks == ord("1")))).all(axis=1)
@@ -213,6 +242,11 @@ def open_range_of_duty(chips: int, low: float, high: float) -> tuple[int, int]:
     if fewest > most:
         raise ValueError(f"duty: no whole number of open chips out of {chips} lies within {low:g}:{high:g}")
     return fewest, most
+
+
+def _starts(is_open: BoolArray) -> BoolArray:
+    """Tell where pulses start."""
+    return np.asarray(np.diff(is_open.astype(np.int8), axis=1, prepend=0) == 1, dtype=np.bool_)
 
 
 def _opening(mask: BoolArray, length: int) -> BoolArray:

@@ -6,26 +6,27 @@ import time
 from types import TracebackType
 from typing import Self
 
-from hw.device import DeviceProfile
-from hw.drivers.report import Trust, UploadReport
-from hw.framing import FrameError
-from hw.link import Link, open_link
-from hw.program import Program
-from hw.protocol import (
-    MAX_TICKS,
-    DeviceError,
+from hw.cxp.framing import FrameError
+from hw.cxp.link import Link, open_link
+from hw.cxp.protocol import (
     Hello,
     Op,
     State,
     Status,
-    WrongStateError,
     pack_arm,
-    pack_load,
-    unpack_load,
+    unpack_crc,
     unpack_status,
 )
+from hw.cxp.stored import Stored, stored_program, unpack_stored
+from hw.device import DeviceProfile
+from hw.drivers.report import Trust, UploadReport
+from hw.errors import DeviceError, WrongStateError
+from hw.program import Program
 
-__all__ = ["Controller", "VerifyError"]
+__all__ = ["PROVEN_FIRMWARE", "Controller", "VerifyError"]
+
+PROVEN_FIRMWARE = frozenset({"cxp-avr 1", "cxp-rp2040 1"})
+"""Firmware whose edges the tests prove on emulated processors."""
 
 
 class VerifyError(RuntimeError):
@@ -35,7 +36,8 @@ class VerifyError(RuntimeError):
 class Controller:
     """A CXP1 shutter controller on an open link.
 
-    Use it as a context manager: left by an exception it sends ABORT, which closes and disarms the shutter.
+    Use it as a context manager: left by an exception after it has loaded, armed or triggered anything it sends ABORT,
+    which closes and disarms the shutter.
 
     Parameters
     ----------
@@ -62,28 +64,61 @@ class Controller:
     def open(
         cls, port: str, *, baud: int = 115200, timeout_s: float = 0.15, attempts: int = 12, hello_s: float = 3.0
     ) -> Self:
-        """Open the controller on a serial port; parameters and errors as `hw.link.open_link`."""
+        """Open the controller on a serial port; parameters and errors as `hw.cxp.link.open_link`."""
         return cls(*open_link(port, baud=baud, timeout_s=timeout_s, attempts=attempts, hello_s=hello_s))
 
-    def hello(self) -> Hello:
-        """Greet the device again and note what it announces."""
-        self.announced = self.link.hello()
-        return self.announced
+    @property
+    def limits(self) -> DeviceProfile:
+        """Limits that the device announced."""
+        told = self.announced
+        return DeviceProfile(
+            name=self.link.name,
+            description=told.firmware,
+            tick_ns=told.tick_ns,
+            min_chip_ns=told.min_ticks * told.tick_ns,
+            max_chip_ns=told.max_ticks * told.tick_ns,
+            max_chips=told.max_chips,
+            max_on_ns=None if told.max_on_ticks is None else told.max_on_ticks * told.tick_ns,
+            max_duty=told.max_duty,
+        )
 
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
         """List every limit that the program breaks: those the device announced, and those of `profile`."""
-        tick_ns = self.announced.tick_ns
-        own = DeviceProfile(
-            name=self.link.name, tick_ns=tick_ns, max_chip_ns=MAX_TICKS * tick_ns, max_chips=self.announced.max_chips
-        )
-        return own.check(program) + (profile.check(program) if profile else ())
+        found = self.limits.check(program)
+        if profile is None:
+            return found
+        if profile.closed_level:
+            found += (
+                f"{profile.name}: closed at a high level, but this controller rests low; put an inverter between",
+            )
+        return found + profile.check(program)
 
-    def load(self, program: Program) -> None:
-        """Store a program in the device, which must be neither armed nor playing; nothing is checked here."""
-        self.link.request(Op.LOAD, pack_load(program, tick_ns=self.announced.tick_ns))
+    def load(self, program: Program, *, clock_ppm: float = 0.0) -> Stored:
+        """Store a program in the device, which must be neither armed nor playing; its limits are not checked here.
 
-    def read(self) -> Program:
-        """Read the stored program back.
+        Returns
+        -------
+        Stored
+            What was sent, of which the device has confirmed the CRC-32.
+
+        Raises
+        ------
+        ValueError
+            If the program cannot be said in the device's ticks, see `hw.cxp.protocol.stored_program`.
+        VerifyError
+            If the device confirms something else.
+        """
+        wanted = stored_program(program, self.announced, clock_ppm=clock_ppm)
+        try:
+            crc = unpack_crc(self.link.request(Op.LOAD, wanted.payload))
+        except FrameError as error:
+            raise VerifyError(f"{self.link.name}: {error}") from None
+        if crc != wanted.crc32:
+            raise VerifyError(f"{self.link.name} confirms CRC32 0x{crc:08x}: 0x{wanted.crc32:08x} was sent")
+        return wanted
+
+    def read(self) -> Stored:
+        """Read the stored program back, as the device has it.
 
         Raises
         ------
@@ -91,9 +126,21 @@ class Controller:
             If what comes is no program.
         """
         try:
-            return unpack_load(self.link.request(Op.READ), tick_ns=self.announced.tick_ns)
+            return unpack_stored(self.link.request(Op.READ))
         except FrameError as error:
             raise VerifyError(f"{self.link.name}: {error}") from None
+
+    def verify(self, program: Program, *, clock_ppm: float = 0.0) -> None:
+        """Read the stored program back and compare it.
+
+        Raises
+        ------
+        VerifyError
+            If the device holds another program; the message says what differs.
+        """
+        wanted, stored = stored_program(program, self.announced, clock_ppm=clock_ppm), self.read()
+        if stored != wanted:
+            raise VerifyError(f"{self.link.name} holds another program than it was sent: {wanted.difference(stored)}")
 
     def arm(self, *, lease_ms: int = 10_000) -> None:
         """Let the next trigger play the program; without one the device disarms itself after `lease_ms`."""
@@ -155,6 +202,7 @@ class Controller:
         verify: bool = True,
         arm: bool = False,
         lease_ms: int = 10_000,
+        clock_ppm: float = 0.0,
     ) -> UploadReport:
         """Check a program, load it, read it back, and arm if wanted.
 
@@ -165,16 +213,13 @@ class Controller:
         profile : DeviceProfile, optional
             Limits of the shutter, besides those the controller announced.
         verify : bool
-            Read the stored program back and compare; without it the report's trust is only "acknowledged".
+            Read the stored program back and compare; without it the report's trust is B.
         arm : bool
             Arm when all went well.
         lease_ms : int
             Lease of the arming, ms.
-
-        Returns
-        -------
-        UploadReport
-            What is now known.
+        clock_ppm : float
+            By how much the device's clock is fast, as `hw.cxp.clock.measure_clock` finds it; chips are stretched by it.
 
         Raises
         ------
@@ -191,15 +236,13 @@ class Controller:
         payload = pack_arm(lease_ms)
         start, retries = time.monotonic(), self.link.retries
         try:
-            self.load(program)
-            if verify and (stored := self.read()) != program:
-                raise VerifyError(
-                    f"{self.link.name} holds another program than it was sent: {_difference(program, stored)}"
-                )
+            self.load(program, clock_ppm=clock_ppm)
+            if verify:
+                self.verify(program, clock_ppm=clock_ppm)
             if arm:
                 self.link.request(Op.ARM, payload)
         except WrongStateError:
-            raise  # it is armed or playing for somebody: refusing is all it did, and all we should do
+            raise  # it is armed or playing for somebody: refusing is all it did, and all we do
         except BaseException as error:
             self.link.abort_after(error)
             raise
@@ -210,9 +253,13 @@ class Controller:
             pulses=program.pulses,
             duration_ns=program.duration_ns,
             code_crc32=program.code_crc32,
-            trust=Trust.READ_BACK if verify else Trust.ACKNOWLEDGED,
+            firmware=self.announced.firmware,
+            read_back=verify,
+            trust=Trust.A if verify and self.announced.firmware in PROVEN_FIRMWARE else Trust.B,
             armed=arm,
             lease_ms=lease_ms if arm else None,
+            clock_ppm=clock_ppm,
+            warnings=_warnings(profile),
             retries=self.link.retries - retries,
             seconds=time.monotonic() - start,
         )
@@ -234,17 +281,16 @@ class Controller:
             self.link.request(op, payload)
         except DeviceError:
             raise  # refused: nothing changed in the device
-        except (
-            BaseException
-        ) as error:  # no reply: it may or may not be armed or open, and closed is the only safe guess
+        except BaseException as error:
+            # No reply: it may or may not be armed or open, and closed is the only safe guess.
             self.link.abort_after(error)
             raise
 
 
-def _difference(sent: Program, stored: Program) -> str:
-    if sent.chip_ns != stored.chip_ns:
-        return f"chip of {stored.chip_ns} ns, not {sent.chip_ns}"
-    if sent.chips != stored.chips:
-        return f"{stored.chips} chips, not {sent.chips}"
-    wrong = [k for k, (a, b) in enumerate(zip(sent.bits, stored.bits, strict=True)) if a != b]
-    return f"{len(wrong)} of {sent.chips} chips differ, the first is chip {wrong[0]}"
+def _warnings(profile: DeviceProfile | None) -> tuple[str, ...]:
+    if profile is None or not profile.on_bias_ns:
+        return ()
+    return (
+        f"{profile.name} makes every opening {profile.on_bias_ns} ns longer, which a controller of whole chips cannot "
+        "take back; the camera recipe (cep export --format camera) does",
+    )

@@ -9,17 +9,29 @@ __all__ = ["Trust", "UploadReport"]
 
 
 class Trust(StrEnum):
-    """How far a shutter is known to hold the program; no level says that it was played with the right timing."""
+    """How far a shutter is known to play the program."""
 
-    READ_BACK = "read back"
-    """The device sent its stored program back and it is identical."""
-    ACKNOWLEDGED = "acknowledged"
-    """The device said that it took the program."""
-    FILE_ONLY = "file only"
+    A = "A"
+    """The device sent its stored program back identical, and its firmware's edges are proven on emulated hardware."""
+    B = "B"
+    """The device acknowledged the program, and no more is known."""
+    C = "C"
     """A file was written; no device was involved."""
 
+    @property
+    def meaning(self) -> str:
+        """What the level says, in a few words."""
+        return _MEANINGS[self]
 
-@dataclass(frozen=True, slots=True)
+
+_MEANINGS = {
+    Trust.A: "read back, edge timing proven on emulated hardware",
+    Trust.B: "acknowledged only",
+    Trust.C: "file only",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class UploadReport:
     """Outcome of an upload that succeeded.
 
@@ -31,10 +43,18 @@ class UploadReport:
         The program, as `hw.program.Program` names it.
     trust : Trust
         What the upload proves.
+    read_back : bool
+        Whether the device sent the program back, identical.
+    firmware : str
+        What the device says it runs.
     armed : bool
         Whether the device now waits for a trigger.
     lease_ms : int or None
         After how long without a trigger an armed device disarms itself.
+    clock_ppm : float
+        By how much the device's clock was taken to be fast.
+    warnings : tuple of str
+        What is not as the program says, one sentence each.
     retries : int
         Frames sent again because no valid reply came.
     seconds : float
@@ -48,7 +68,11 @@ class UploadReport:
     duration_ns: int
     code_crc32: int
     trust: Trust
+    read_back: bool
+    firmware: str
     armed: bool
     lease_ms: int | None
     retries: int
     seconds: float
+    clock_ppm: float = 0.0
+    warnings: tuple[str, ...] = ()

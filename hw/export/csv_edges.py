@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 
-from hw.export._text import integer, verified
+from hw.device import DeviceProfile
+from hw.export._text import GENERIC, integer, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix"]
+__all__ = ["export", "parse_back", "suffix", "summary"]
 
 suffix = ".csv"
+summary = "edges as time_us,level rows"
 
 _COLUMNS = "time_us,level"
 _HEADER = ("format", "chip_ns", "chips", "code_crc32")
@@ -17,7 +19,7 @@ _FORMAT = "hw.csv/1"
 _ROW = re.compile(r"([0-9]+)\.([0-9]{3}),([01])")
 
 
-def export(program: Program) -> str:
+def export(program: Program, _device: DeviceProfile = GENERIC, /) -> str:
     """Write the program as CSV.
 
     The shutter is closed before the first row. The last row closes it at ``chips * chip_ns`` even when the last
@@ -32,7 +34,7 @@ def export(program: Program) -> str:
     return "\n".join([*header, _COLUMNS, *body]) + "\n"
 
 
-def parse_back(text: str) -> Program:
+def parse_back(text: str, /) -> Program:
     """Read the program back.
 
     Raises

@@ -5,22 +5,24 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from hw.export._text import verified
+from hw.device import DeviceProfile
+from hw.export._text import GENERIC, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix"]
+__all__ = ["export", "parse_back", "suffix", "summary"]
 
 suffix = ".json"
+summary = "code, timing, runs and edges for one's own scripts"
 
 _SCHEMA = "hw.program/1"
 
 
-def export(program: Program) -> str:
+def export(program: Program, _device: DeviceProfile = GENERIC, /) -> str:
     """Write the program as one JSON object of schema ``hw.program/1``."""
     return json.dumps(_manifest(program), indent=1) + "\n"
 
 
-def parse_back(text: str) -> Program:
+def parse_back(text: str, /) -> Program:
     """Read the program back; every derived field must agree with the code.
 
     Raises

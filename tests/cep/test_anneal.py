@@ -12,6 +12,8 @@ from cep.certify.minimum import min_chip
 from cep.code import ShutterCode
 from cep.mtf import measure
 from cep.search.annealing.anneal import anneal
+from cep.search.annealing.proposals import keeps_runs
+from cep.search.annealing.tables import limits_of
 from cep.search.bounding.bounds import bound
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem, open_range_of_duty
@@ -44,12 +46,14 @@ def brute_force(problem):
 
 
 @pytest.mark.parametrize("objective", [*OBJECTIVES, (("noise", 1.0), ("min-mtf", 0.5))])
-@pytest.mark.parametrize("where", ["circle", "straight", "limits"])
+@pytest.mark.parametrize("where", ["circle", "straight", "limits", "long runs", "fast pulses"])
 def test_agrees_with_brute_force(objective, where):
     options = {
         "circle": {"chips": 12, "open_range": (4, 9)},
         "straight": {"chips": 11, "open_range": (6, 6), "scenarios": (Scenario(Trajectory.straight(14.0)),)},
         "limits": {"chips": 12, "min_open": 2, "min_closed": 2, "max_pulses": 3, "open_range": (5, 8)},
+        "long runs": {"chips": 12, "max_open": 2, "open_range": (4, 9)},
+        "fast pulses": {"chips": 12, "max_open": 4, "min_period": 4, "open_range": (3, 8)},
     }[where]
     problem = SearchProblem(objective=objective, **options)
     found = anneal(problem, rng=np.random.default_rng(0), steps=200_000)
@@ -95,26 +99,46 @@ def test_scenarios_combine_by_rule_and_in_any_order():
     assert np.allclose(costs(paths[::-1], "worst"), costs(paths, "worst"))
 
 
-@given(st.text("01", min_size=8, max_size=24), st.integers(1, 4), st.integers(1, 4), st.integers(1, 5))
-def test_limits_mean_what_the_runs_say(bits, min_open, min_closed, max_pulses):
+RUN_LIMITS = st.fixed_dictionaries(
+    {
+        "min_open": st.integers(1, 3),
+        "min_closed": st.integers(1, 3),
+        "max_pulses": st.none() | st.integers(1, 4),
+        "max_open": st.none() | st.integers(3, 6),
+        "min_period": st.integers(1, 8),
+    }
+)
+
+
+@given(st.text("01", min_size=8, max_size=24), RUN_LIMITS)
+@settings(max_examples=300)
+def test_limits_mean_what_the_runs_say(bits, limits):
     bits = "1" + bits
-    problem = SearchProblem(chips=len(bits), min_open=min_open, min_closed=min_closed, max_pulses=max_pulses)
+    problem = SearchProblem(chips=len(bits), **limits)
     code = ShutterCode(bits)
     inner = ShutterCode(bits.strip("0")).runs
+    # of a pulse and the gap after it, but for the last pulse
+    periods = [inner[at][1] + inner[at + 1][1] for at in range(0, len(inner) - 1, 2)]
     kept = (
-        all(length >= (min_open if bit else min_closed) for bit, length in inner)
-        and code.pulses <= max_pulses
-        and code.open_chips >= min_open
+        all(length >= (limits["min_open"] if bit else limits["min_closed"]) for bit, length in inner)
+        and all(length <= (limits["max_open"] or len(bits)) for bit, length in inner if bit)
+        and all(period >= limits["min_period"] for period in periods)
+        and code.pulses <= (limits["max_pulses"] or len(bits))
+        and code.open_chips >= limits["min_open"]
     )
     assert problem.satisfied(code.array[None])[0] == kept
+    # the compiled loops keep the same, here of two frames
+    pair = np.concatenate([code.array, code.array]).astype(np.int8)
+    assert keeps_runs(pair, limits_of(problem)) == kept
 
 
-@given(st.integers(0, 99), st.integers(6, 16), st.integers(1, 3), st.integers(1, 3), st.integers(1, 4))
-@settings(max_examples=15, deadline=None)
-def test_results_keep_the_limits(seed, chips, min_open, min_closed, max_pulses):
-    problem = SearchProblem(
-        chips=chips, min_open=min_open, min_closed=min_closed, max_pulses=max_pulses, open_range=(3, chips - 2)
-    )
+@given(st.integers(0, 99), st.integers(6, 16), RUN_LIMITS)
+@settings(max_examples=25, deadline=None)
+def test_results_keep_the_limits(seed, chips, limits):
+    try:
+        problem = SearchProblem(chips=chips, **limits, open_range=(3, chips - 2))
+    except ValueError:
+        return  # no code keeps such limits
     found = anneal(problem, rng=np.random.default_rng(seed), steps=5000)
     assert problem.satisfied(found.code.array[None])[0]
 

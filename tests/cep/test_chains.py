@@ -37,6 +37,7 @@ PROBLEMS = {
         arc(), chips=10, open_range=(3, 7), response=ShutterResponse(chip_ns=1000, rise_ns=500, fall_ns=300)
     ),
     "runs": SearchProblem(chips=14, min_open=2, min_closed=2, max_pulses=4, open_range=(4, 9)),
+    "periods": SearchProblem(chips=14, max_open=4, min_period=4, open_range=(4, 8)),
 }
 
 

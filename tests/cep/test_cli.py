@@ -35,7 +35,14 @@ COMMANDS = (
     "upload",
     "demo",
 )
-GROUPED = ("bench codes",)
+SHUTTER = tuple(
+    f"hw {name}"
+    for name in ("list", "info", "load", "arm", "trigger", "abort", "calibrate", "monitor", "verify", "emulate")
+)
+"""Talks with a device: nothing is drawn at random, and no file is written but those that an option names."""
+BENCHES = ("bench blind", "bench cep", "bench speed")
+"""Their seed is part of the protocol's file: a table is made again from its protocol and photos alone."""
+GROUPED = (*SHUTTER, *BENCHES, "bench codes")
 METRICS = {"min_mtf", "min_chip", "noise_gain_db", "mse_db", "flatness_var", "dnf_db"}
 
 
@@ -54,12 +61,21 @@ def test_help_loads_nothing_heavy():
         assert command in done.stdout
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, *GROUPED])
+@pytest.mark.parametrize("command", SHUTTER)
+def test_every_command_of_the_shutter_has_help_with_an_example(cep, command):
+    cep(*command.split(), "--help")
+    assert cep.code == 0
+    for text in ("--json", "Example: cep " + command):
+        assert text in " ".join(cep.out.split())
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, *BENCHES, "bench codes"])
 def test_every_command_has_help_with_an_example_and_the_common_options(cep, command):
     cep(*command.split(), "--help")
     assert cep.code == 0
-    for text in ("--json", "--seed", "--force", "--output", "Example: cep " + command):
+    for text in ("--json", "--force", "--output", "Example: cep " + command):
         assert text in " ".join(cep.out.split())
+    assert ("--seed" in cep.out) == (command not in BENCHES)
 
 
 def test_commands_are_those_of_the_design():

@@ -66,6 +66,17 @@ def test_an_interrupt_keeps_the_front(cep, workplace, monkeypatch):
     assert Path("f.png").exists()
 
 
+def test_runs_and_periods_are_limited(cep, workplace):
+    cep.succeeds("pareto", "--chips", "12", "--max-open", "2", "--min-period", "3", "--steps", "1000", "-o", "a.json")
+    front = json.loads(Path("a.json").read_text())
+    assert (front["problem"]["max_open"], front["problem"]["min_period"]) == (2, 3)
+    assert front["points"]
+    for point in front["points"]:
+        # runs of at most two, and no start two chips after another
+        assert "111" not in point["bits"]
+        assert "0101" not in "0" + point["bits"]
+
+
 def test_repeatable(cep, workplace):
     options = ("pareto", "--chips", "12", "--steps", "1000", "--seed", "4")
     cep.succeeds(*options, "-o", "a.json")
@@ -89,6 +100,7 @@ def test_repeatable(cep, workplace):
         ("--plot", ("--plot", "front.gif")),
         ("--plot", ("-o", "a.png", "--plot", "a.png")),
         ("min_open", ("--min-open", "12", "--open", "3")),
+        ("max_open 2 and min_period 9", ("--max-open", "2", "--min-period", "9", "--open", "7")),
         ("time_s", ("--time", "0")),
         ("zero", ("--open", "16", "--steps", "0")),
         ("no folder", ("-o", "nowhere/front.json")),

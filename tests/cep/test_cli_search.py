@@ -8,6 +8,8 @@ import pytest
 
 from cep.code import ShutterCode
 from cep.files import read_code
+from hw.device import load_profile
+from hw.program import Program
 
 
 def test_exact_proves_the_best_and_audit_confirms_it(cep, workplace):
@@ -80,6 +82,28 @@ def test_a_slow_shutter_is_designed_for(cep, workplace):
     assert ShutterCode(slow["bits"]).chips == 16
 
 
+def test_only_what_a_strobe_can_play_is_proposed(cep, workplace):
+    Path("strobe.toml").write_text(
+        'schema = "hw.device/1"\nname = "strobe"\nmax_on_ns = 2500000\nmax_rate_hz = 300.0\nmax_duty = 0.5\n'
+    )
+    options = ("optimize", "--linear", "16", "--chips", "16", "--device", "strobe.toml", "--force", "-o", "new.json")
+    for method in (("--steps", "3000"), ("--method", "exact"), ("--frames", "2", "--steps", "3000")):
+        found = cep.succeeds(*options, *method)
+        stored = read_code(found["file"] if "file" in found else found["files"][0])
+        assert {name: stored.problem[name] for name in ("max_open", "min_period", "open_range")} == {
+            "max_open": 2, "min_period": 4, "open_range": [1, 8],
+        }  # fmt: skip
+        for bits in [found["bits"]] if isinstance(found["bits"], str) else found["bits"]:
+            program = Program.from_bits(bits, chip_ns=1_000_000)
+            assert load_profile("strobe.toml").check(program) == ()
+    # the stricter one of device and wish counts
+    found = cep.succeeds(*options, "--steps", "3000", "--max-open", "1", "--min-period", "3")
+    assert {name: read_code("new.json").problem[name] for name in ("max_open", "min_period")} == {
+        "max_open": 1, "min_period": 4,
+    }  # fmt: skip
+    assert set(found["bits"].split("0")) <= {"", "1"}
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -98,9 +122,18 @@ def test_a_slow_shutter_is_designed_for(cep, workplace):
         (("--method", "exact", "--steps", "9"), "--steps"),
         (("--rule", "median"), "rule"),
         (("--min-closed", "9", "--open", "8", "--max-pulses", "1", "--fixed", "1?????0????1"), "conflict"),
+        (("--max-open", "2", "--min-open", "3"), "min_open 3 and max_open 2 conflict: no code of 12 chips keeps both"),
+        (("--max-open", "0"), "--max-open"),
+        (("--min-period", "0"), "--min-period"),
+        (
+            ("--min-period", "7", "--max-open", "2", "--open", "5"),
+            "open_range 5..5, max_open 2 and min_period 7 conflict",
+        ),
+        (("--device", "dark.toml"), "chip_ns: dark opens for 10 ns at most, a chip must not last longer"),
     ],
 )
 def test_bad_wishes_are_one_line(cep, workplace, options, message):
+    Path("dark.toml").write_text('schema = "hw.device/1"\nname = "dark"\nmax_on_ns = 10\n')
     line = cep.refuses("optimize", "--linear", "12", "--chips", "12", "-o", "never.json", *options)
     assert message in line
     assert not Path("never.json").exists()

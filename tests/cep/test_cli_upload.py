@@ -1,36 +1,29 @@
 """``cep upload`` over a real serial connection to a controller on a pseudo-terminal."""
 
-import importlib.util
+import errno
 import json
 import signal
-import sys
 from pathlib import Path
 
 import pytest
+from emulators.cxp_controller import ARMED, LOADED, CxpController
 
 from cep.files import read_code
 
 if not hasattr(signal, "SIGALRM"):
     pytest.skip("no pseudo-terminals on this system", allow_module_level=True)
 
-_SPEC = importlib.util.spec_from_file_location(
-    "cxp_controller_of_the_command_line", Path(__file__).parents[1] / "emulators" / "cxp_controller.py"
-)
-emulator = importlib.util.module_from_spec(_SPEC)
-sys.modules[_SPEC.name] = emulator  # dataclasses look their module up there
-_SPEC.loader.exec_module(emulator)
-
 
 @pytest.fixture
 def controller():
-    with emulator.CxpController() as device:
+    with CxpController() as device:
         yield device
 
 
 def test_a_code_is_loaded_read_back_and_armed(cep, workplace, controller):
     found = cep.succeeds("upload", "code.json", "--port", controller.port, "--arm", "-o", "upload.json")
     assert {"runs", "edges", "duration_ns", "checks", "trust"} <= set(found)
-    assert found["trust"] == "read back"
+    assert found["trust"] == "A"
     assert found["armed"]
     assert found["chips"] == read_code("code.json").code.chips
     assert json.loads(Path("upload.json").read_text()) == found
@@ -53,3 +46,65 @@ def test_a_devices_limits_are_checked_before_the_port_is_opened(cep, workplace):
     line = cep.refuses("upload", "1010", "--port", "/dev/nothing-there", "--device", "slow.toml")
     assert "slow" in line
     assert "5 ms" in line
+
+
+def test_a_code_is_played_at_once(cep, workplace, controller):
+    found = cep.succeeds("upload", "code.json", "--port", controller.port, "--play")
+    assert (found["played"], found["armed"], found["lease_ms"]) == (True, False, None)
+    assert controller.plays == [read_code("code.json").code.bits]
+
+
+def test_a_pulse_pal_plays_the_code(cep, workplace):
+    from emulators.pulse_pal import PulsePal
+
+    with PulsePal() as device:
+        arguments = ("upload", "1101", "--chip-ns", "200000", "--port", device.port, "--driver", "pulse-pal")
+        found = cep.succeeds(*arguments, "--play")
+        assert (found["trust"], found["read_back"], found["played"]) == ("B", False, True)
+        assert cep.succeeds(*arguments, "--arm")["lease_ms"] is None
+
+
+def test_a_waveform_generator_plays_the_code_and_is_not_left_armed(cep, workplace):
+    pytest.importorskip("pyvisa_py")
+    from emulators.awg import Awg
+
+    with Awg() as device:
+        arguments = ("upload", "1101", "--chip-ns", "200000", "--port", device.resource, "--driver", "scpi")
+        found = cep.succeeds(*arguments, "--play")
+        assert (found["trust"], found["played"], found["armed"]) == ("B", True, False)
+        assert (len(device.plays), device.output) == (1, False)
+        assert cep.succeeds(*arguments, "--arm")["armed"]
+        assert device.output
+
+
+def test_a_report_that_cannot_be_written_leaves_nothing_armed(cep, workplace, controller, monkeypatch):
+    def full(path, text):
+        assert controller.state == ARMED
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr("cep.outputs.write_text", full)
+    assert cep("upload", "code.json", "--port", controller.port, "--arm", "-o", "upload.json").code == 1
+    assert cep.err == "cep: upload.json: No space left on device\n"
+    assert controller.state == LOADED
+
+
+def test_ctrl_c_that_the_controller_does_not_acknowledge_is_told(cep, workplace, controller, monkeypatch):
+    def interrupted(*_, **__):
+        error = KeyboardInterrupt()
+        error.add_note("ttyX did not acknowledge ABORT: look whether the shutter is closed")
+        raise error
+
+    monkeypatch.setattr("hw.drivers.cxp.Controller.upload", interrupted)
+    assert cep("upload", "code.json", "--port", controller.port).code == 130
+    assert cep.err.splitlines() == [
+        "cep: warning: ttyX did not acknowledge ABORT: look whether the shutter is closed", "cep: interrupted",
+    ]  # fmt: skip
+
+
+def test_drivers_and_their_options(cep, workplace):
+    assert "must be one of cxp, pulse-pal, scpi" in cep.refuses("upload", "101", "--port", "x", "--driver", "arduino")
+    assert "only cxp does" in cep.refuses("upload", "101", "--port", "x", "--driver", "pulse-pal", "--clock-ppm", "3")
+    assert "give one of them" in cep.refuses("upload", "101", "--port", "x", "--arm", "--play")
+    assert "there is no such port" in cep.refuses("upload", "101", "--port", "/dev/none", "--driver", "pulse-pal")
+    pytest.importorskip("pyvisa_py")
+    assert "cep: " in cep.refuses("upload", "101", "--port", "TCPIP::127.0.0.1::1::SOCKET", "--driver", "scpi")

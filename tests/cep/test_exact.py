@@ -17,8 +17,9 @@ from cep.response import ShutterResponse
 from cep.search.exhaustive import exact as module
 from cep.search.exhaustive.blocks import Tables
 from cep.search.exhaustive.exact import codes_to_count, exact
-from cep.search.exhaustive.exhaust import INNER, Limits, all_patterns
+from cep.search.exhaustive.exhaust import INNER, all_patterns
 from cep.search.exhaustive.proof import ProofLog
+from cep.search.exhaustive.runs import Limits, keeps_runs, possible
 from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 
@@ -61,6 +62,8 @@ def recheck(proof):
         min_open=limits["min_open"],
         min_closed=limits["min_closed"],
         max_pulses=limits["max_pulses"],
+        max_open=limits["max_open"],
+        min_period=limits["min_period"],
     )
     best = brute_force(problem)
     return proof.complete and proof.lower - 1e-9 <= best <= proof.upper + 1e-9
@@ -78,7 +81,16 @@ def test_free_optimum_is_that_of_brute_force(chips):
     assert all(entry.codes / 2 <= entry.judged <= entry.codes for entry in found.proof.lengths)
 
 
-@pytest.mark.parametrize("options", [{}, {"open_range": (11, 11)}, {"min_open": 2, "min_closed": 2, "max_pulses": 4}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"open_range": (11, 11)},
+        {"min_open": 2, "min_closed": 2, "max_pulses": 4},
+        {"max_open": 2},
+        {"max_open": 5, "min_period": 5},
+    ],
+)
 def test_bit_tables_lose_no_code(options):
     problem = SearchProblem(chips=20, **options)
     found = exact(problem, threads=1)
@@ -96,19 +108,57 @@ def test_bit_tables_lose_no_code(options):
     st.one_of(st.none(), st.integers(1, 4)),
     st.integers(1, 5),
     st.integers(0, 8),
+    st.one_of(st.none(), st.integers(1, 6)),
+    st.integers(1, 7),
 )
-@settings(max_examples=25, deadline=None)
-def test_limits_are_those_of_brute_force(chips, min_open, min_closed, max_pulses, fewest, more):
+@settings(max_examples=40, deadline=None)
+def test_limits_are_those_of_brute_force(chips, min_open, min_closed, max_pulses, fewest, more, max_open, min_period):
     most = min(chips, max(fewest, min_open) + more)
     try:
         problem = SearchProblem(
-            chips=chips, open_range=(fewest, most), min_open=min_open, min_closed=min_closed, max_pulses=max_pulses
-        )
+            chips=chips, open_range=(fewest, most), min_open=min_open, min_closed=min_closed, max_pulses=max_pulses,
+            max_open=max_open, min_period=min_period,
+        )  # fmt: skip
     except ValueError:
         return  # no code keeps such limits
     found = exact(problem, threads=1)
     assert problem.satisfied(found.code.array[None])[0]
     assert recheck(found.proof)
+
+
+def test_a_period_is_not_kept_by_mirror_images():
+    """Starts of pulses turn into ends: both codes of a mirror pair must be counted, and only one may be named."""
+    forward = SearchProblem(chips=13, open_range=(5, 5), max_pulses=2, min_period=6)
+    assert not forward.mirrors
+    found = exact(forward, threads=1)
+    assert recheck(found.proof)
+    codes = all_patterns(13)
+    kept = codes[forward.satisfied(codes)]
+    assert not forward.satisfied(kept[:, ::-1]).all()
+    # every code with both ends open of every length, and the mirror image of each
+    assert all(entry.judged >= entry.codes / 2 for entry in found.proof.lengths if entry.length < INNER + 2)
+    assert codes_to_count(forward) == 2 * codes_to_count(SearchProblem(chips=13, open_range=(5, 5)))
+
+
+@given(
+    st.text("01", min_size=1, max_size=24), st.integers(1, 3), st.integers(1, 3), st.integers(1, 6), st.integers(1, 6),
+    st.integers(1, 8),
+)  # fmt: skip
+@settings(max_examples=300, deadline=None)
+def test_runs_are_kept_by_codes_and_their_parts(bits, min_open, min_closed, max_pulses, max_open, min_period):
+    bits = f"1{bits}1"
+    code = np.array([[int(bit) for bit in bits]], dtype=np.int8)
+    limits = Limits(1, len(bits), min_open, min_closed, max_pulses, max(max_open, min_open), min_period)
+    problem = SearchProblem(
+        chips=len(bits), min_open=min(min_open, len(bits)), min_closed=min_closed, max_pulses=max_pulses,
+        max_open=limits.max_open, min_period=min_period,
+    )  # fmt: skip
+    kept = bool(problem.satisfied(code)[0])
+    assert keeps_runs(np.uint64(int(bits[::-1], 2)), limits) == kept
+    for first in range(len(bits)):
+        for last in range(first + 1, len(bits) + 1):
+            fits = possible(code[:, first:last], limits, (first == 0, last == len(bits)))[0]
+            assert fits or not kept
 
 
 @pytest.mark.parametrize("fixed", ["1?????0???????1", "??111?????00???"])
@@ -219,7 +269,7 @@ def test_what_a_cell_discards_is_below_the_limit_wherever_the_point_lies(seed, l
     rng = np.random.default_rng(seed)
     chips = 20
     basis = np.exp(-2j * np.pi * np.outer(np.arange(chips), rng.random(8) / 2))
-    tables = Tables(basis, Limits(1, chips, 1, 1, 64), limit)
+    tables = Tables(basis, Limits(1, chips, 1, 1, 64, 64, 1), limit)
     inner = all_patterns(INNER) @ tables.used[tables.inner_at : tables.inner_at + INNER]
     rows = tables.cells.reshape(-1, tables.grid, tables.grid, 16)
     discarded = 0

@@ -126,6 +126,7 @@ def test_one_frame_is_the_search_of_one_code(objective):
         {"open_range": (6, 6)},
         {"open_range": (5, 8), "fixed": "1?0??????????0??"},
         {"open_range": (4, 9), "min_open": 2, "min_closed": 2, "max_pulses": 3},
+        {"open_range": (4, 9), "max_open": 3, "min_period": 4},
     ],
 )
 def test_every_frame_keeps_the_limits(limits, objective):

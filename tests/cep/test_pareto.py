@@ -158,11 +158,20 @@ def test_a_zero_has_no_finite_noise():
 
 
 @settings(max_examples=8, deadline=None)
-@given(st.integers(1, 3), st.integers(1, 3), st.integers(1, 4), st.integers(0, 2**32))
-def test_limits_are_kept(min_open, min_closed, max_pulses, seed):
+@given(
+    st.integers(1, 3),
+    st.integers(1, 3),
+    st.integers(2, 4),
+    st.none() | st.integers(4, 6),
+    st.integers(1, 6),
+    st.integers(0, 2**32),
+)
+def test_limits_are_kept(min_open, min_closed, max_pulses, max_open, min_period, seed):
     problem = SearchProblem(
         chips=12,
         open_range=(6, 9),
+        max_open=max_open,
+        min_period=min_period,
         min_open=min_open,
         min_closed=min_closed,
         max_pulses=max_pulses,

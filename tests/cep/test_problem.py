@@ -12,7 +12,8 @@ from cep.code import ShutterCode
 from cep.exposure import coded_otf
 from cep.mtf import measure, worst_of
 from cep.response import ShutterResponse
-from cep.search.limits import Limits, feasible, fixed_mask
+from cep.search.feasibility import feasible
+from cep.search.limits import Limits, fixed_mask
 from cep.search.problem import Scenario, SearchProblem
 from cep.search.scenarios import drifted
 from motdiff.trajectory import Trajectory
@@ -31,6 +32,8 @@ def test_drawn_codes_keep_every_limit(seed, chips, data):
         "min_open": data.draw(st.integers(1, 3)),
         "min_closed": data.draw(st.integers(1, 4)),
         "max_pulses": data.draw(st.none() | st.integers(1, 6)),
+        "max_open": data.draw(st.none() | st.integers(1, 9)),
+        "min_period": data.draw(st.integers(1, 9)),
         "fixed": data.draw(st.none() | st.text("01" + "?" * 8, min_size=chips, max_size=chips)),
     }
     if not feasible(Limits(chips, **options)):
@@ -52,9 +55,8 @@ def test_drawn_codes_keep_every_limit(seed, chips, data):
 def test_forced_chips_are_a_limit_like_others():
     mask = fixed_mask(6, first_open=True, forced_closed=[2])
     problem = SearchProblem(chips=6, fixed=mask)
-    assert problem.constrained
     assert problem.limits.fixed == mask
-    assert not SearchProblem(chips=6, fixed="??????").constrained
+    assert SearchProblem(chips=6, fixed="??????").fixed is None
     kept = problem.satisfied(np.array([[1, 1, 0, 0, 1, 1], [0, 1, 0, 0, 1, 1], [1, 1, 1, 0, 1, 1]]))
     assert kept.tolist() == [True, False, False]
 
@@ -69,6 +71,12 @@ def test_forced_chips_are_a_limit_like_others():
             {"fixed": "10?????01", "min_open": 2},
             "min_open 2 and fixed (2 forced open, 2 forced closed) conflict: no code of 9 chips keeps both",
         ),
+        (
+            {"open_range": (7, 9), "max_open": 3, "min_period": 5},
+            "open_range 7..9, max_open 3 and min_period 5 conflict: no code of 9 chips keeps all 3",
+        ),
+        ({"max_open": 0}, "max_open: must be a whole number of at least 1, got 0"),
+        ({"min_period": None}, "min_period: must be a whole number of at least 1, got None"),
         ({"open_range": (2, 4), "min_open": 5}, "min_open: runs of 5 open chips conflict with at most 4 open chips"),
         ({"response": SLOW}, "response: needs a motion (scenarios)"),
         ({"scenarios": (Scenario(BENT, edges=np.linspace(0, 1, 9)),)}, "edges: 9 chips need 10 edges"),

@@ -1,4 +1,4 @@
-"""A small CXP1 controller on a pseudo-terminal, written from the protocol alone (nothing of `hw` is imported).
+"""A small CXP1 controller on a pseudo-terminal, written from docs/cxp1.md alone (nothing of `hw` is imported).
 
 It plays in real time, logs what it did, and breaks on demand: noise, lost or wrong replies, a dead or strange
 device, a stored bit gone wrong, an unplugged cable.
@@ -15,6 +15,7 @@ import struct
 import threading
 import time
 import tty
+import zlib
 from dataclasses import dataclass, field
 
 HELLO, LOAD, READ, ARM, TRIG, ABORT, STATUS = range(1, 8)
@@ -39,22 +40,39 @@ class Faults:
     lost_replies: dict[int, int] = field(default_factory=dict)  # op -> how many of its replies never leave
     unplug_on: int | None = None  # op during whose frame the cable is pulled
     stored_flip: int | None = None  # stored bit that goes wrong after LOAD
+    stored_crc_wrong: bool = False
     stuck_play: bool = False
+    fault: bool = False  # every play misses an edge
 
 
 class CxpController:
     """The controller; use as a context manager. `port` is the name of its pseudo-terminal."""
 
-    def __init__(self, faults: Faults | None = None, *, max_chips: int = 1024, tick_ns: int = 500) -> None:
+    def __init__(
+        self,
+        faults: Faults | None = None,
+        *,
+        max_chips: int = 1024,
+        tick_ns: int = 500,
+        min_ticks: int = 100,
+        max_ticks: int = 65535,
+        max_on_ticks: int = 0,
+        max_duty: int = 1000,
+        firmware: str = "cxp-avr 1",
+        text: bool = False,
+        clock_ppm: float = 0.0,
+    ) -> None:
         self.faults = faults or Faults()
-        self.max_chips, self.tick_ns = max_chips, tick_ns
+        self.max_chips, self.tick_ns, self.min_ticks, self.max_ticks = max_chips, tick_ns, min_ticks, max_ticks
+        self.max_on_ticks, self.max_duty, self.firmware, self.text = max_on_ticks, max_duty, firmware, text
+        self.clock_ppm, self.boot = clock_ppm, time.monotonic()
         self.rng = random.Random(self.faults.seed)
         self.bad_crc_left = self.faults.bad_crc_replies
         self.wrong_seq_left = self.faults.wrong_seq_replies
         self.lost_left = dict(self.faults.lost_replies)
         self.state = IDLE
-        self.ticks, self.bits = 0, ""
-        self.runs = self.bad_frames = 0
+        self.ticks, self.fraction, self.bits = 0.0, 0, ""
+        self.runs = self.bad_frames = self.late = 0
         self.play_start = self.lease_end = 0.0
         self.last_request: tuple[int, int, int] | None = None
         self.last_reply = b""
@@ -105,8 +123,9 @@ class CxpController:
         now = time.monotonic()
         length_s = len(self.bits) * self.ticks * self.tick_ns * 1e-9
         if self.state == PLAY and now - self.play_start >= length_s and not self.faults.stuck_play:
-            self.state = DONE
-            self.runs += 1
+            self.state = FAULT if self.faults.fault else DONE
+            self.runs += not self.faults.fault
+            self.late += self.faults.fault
         if self.state == ARMED and now >= self.lease_end:
             self.state = LOADED
 
@@ -129,18 +148,19 @@ class CxpController:
         if time.monotonic() - self.first_byte < self.faults.deaf_s:
             return
         self.pending += self._noisy(data)
+        end = b"\n" if self.text else b"\0"
         # The op is the second byte of a stuffed frame: the first is COBS's own.
         if self.faults.unplug_on is not None and self.pending.lstrip(b"\0")[1:2] == bytes([self.faults.unplug_on]):
             self.unplugged = True
             return
-        while b"\0" in self.pending:
-            stuffed, self.pending = self.pending.split(b"\0", 1)
+        while end in self.pending:
+            stuffed, self.pending = self.pending.split(end, 1)
             if not stuffed:
                 continue
             if self.faults.babble:
                 self._put(self.faults.babble)
                 continue
-            raw = unstuff(stuffed)
+            raw = untext(stuffed) if self.text else unstuff(stuffed)
             if raw is None or len(raw) < 4 or binascii.crc_hqx(raw[:-2], 0xFFFF) != struct.unpack("<H", raw[-2:])[0]:
                 self.bad_frames = min(self.bad_frames + 1, 255)
                 continue
@@ -169,26 +189,36 @@ class CxpController:
         if self.bad_crc_left:
             self.bad_crc_left -= 1
             check ^= 0x0101
-        self._put(stuff(reply + struct.pack("<H", check)) + b"\0")
+        sealed = reply + struct.pack("<H", check)
+        self._put(b":" + sealed.hex().upper().encode() + b"\r\n" if self.text else stuff(sealed) + b"\0")
 
     def _do(self, op: int, payload: bytes) -> tuple[int, bytes]:
         if op not in range(HELLO, STATUS + 1):
             return 1, b""
+        allowed = {
+            LOAD: (IDLE, LOADED, DONE),
+            READ: (LOADED, ARMED, PLAY, DONE, FAULT),
+            ARM: (LOADED, ARMED, DONE),
+            TRIG: (ARMED,),
+        }
+        if self.state not in allowed.get(op, range(6)):
+            return 4, b""
         if (op in (HELLO, READ, TRIG, ABORT, STATUS) and payload) or (op == ARM and len(payload) != 2):
             return 2, b""
         if op == HELLO:
-            return 0, self.faults.magic + struct.pack("<BBHH", self.faults.version, 0, self.max_chips, self.tick_ns)
+            told = (self.faults.version, 3, self.max_chips, self.tick_ns, self.min_ticks, self.max_ticks)
+            limits = (self.max_on_ticks, self.max_duty, 20_000, 0)
+            return 0, self.faults.magic + struct.pack("<BBHHIIIHIB", *told, *limits) + self.firmware.encode()
         if op == LOAD:
             return self._load(payload)
         if op == READ:
-            return (0, self._stored()) if self.bits else (4, b"")
+            return 0, self._stored()
         if op == ARM:
-            if self.state == PLAY or not self.bits:
-                return 4, b""
-            self.state, self.lease_end = ARMED, time.monotonic() + struct.unpack("<H", payload)[0] * 1e-3
+            lease_ms = struct.unpack("<H", payload)[0]
+            if not lease_ms:
+                return 3, b""
+            self.state, self.lease_end = ARMED, time.monotonic() + lease_ms * 1e-3
         elif op == TRIG:
-            if self.state != ARMED:
-                return 4, b""
             self.state, self.play_start = PLAY, time.monotonic()
             self.plays.append(self.bits)
         elif op == ABORT:
@@ -198,22 +228,32 @@ class CxpController:
             if self.state == PLAY:
                 position = int((time.monotonic() - self.play_start) * 1e9 / (self.ticks * self.tick_ns))
             position = min(position, len(self.bits))
-            return 0, struct.pack("<BHHBB", self.state, position, self.runs % 65536, 0, self.bad_frames)
+            uptime_us = int((time.monotonic() - self.boot) * 1e6 * (1 + self.clock_ppm * 1e-6)) + 2**32 - 300_000
+            counts = (self.runs % 65536, min(self.late, 255), self.bad_frames, uptime_us % 2**32)
+            crc = zlib.crc32(self._stored()) if self.bits else 0
+            return 0, struct.pack("<BHHBBII", self.state, position, *counts, crc)
         return 0, b""
 
     def _load(self, payload: bytes) -> tuple[int, bytes]:
-        if self.state in (PLAY, ARMED):
-            return 4, b""
-        if len(payload) < 5:
+        if len(payload) < 8:
             return 2, b""
-        ticks, count = struct.unpack_from("<HH", payload)
-        if ticks < 100 or not 1 <= count <= self.max_chips:
+        ticks, fraction, count = struct.unpack_from("<IHH", payload)
+        if len(payload) != 8 + -(-count // 8):
+            return 2, b""
+        padded = "".join(format(byte, "08b") for byte in payload[8:])
+        bits = padded[:count]
+        if not self.min_ticks <= ticks <= self.max_ticks - (fraction > 0) or not 1 <= count <= self.max_chips:
             return 3, b""
-        if len(payload) != 4 + -(-count // 8):
-            return 2, b""
-        bits = [format(byte, "08b") for byte in payload[4:]]
-        self.ticks, self.bits, self.state = ticks, "".join(bits)[:count], LOADED
-        echo = self._stored()
+        if "1" in padded[count:] or "1" not in bits:
+            return 3, b""
+        if bits.count("1") * 1000 > self.max_duty * count:
+            return 5, b""
+        longest = max(len(run) for run in bits.split("0"))
+        if self.max_on_ticks and longest * (ticks + fraction / 65536) > self.max_on_ticks:
+            return 6, b""
+        self.fraction, self.bits, self.state = fraction, bits, LOADED
+        self.ticks = ticks + fraction / 65536
+        echo = struct.pack("<I", zlib.crc32(self._stored()) ^ self.faults.stored_crc_wrong)
         if self.faults.stored_flip is not None:
             k = self.faults.stored_flip
             self.bits = self.bits[:k] + "10"[int(self.bits[k])] + self.bits[k + 1 :]
@@ -223,7 +263,7 @@ class CxpController:
         count = len(self.bits)
         size = -(-count // 8)
         number = int(self.bits, 2) << (8 * size - count)
-        return struct.pack("<HH", self.ticks, count) + number.to_bytes(size, "big")
+        return struct.pack("<IHH", int(self.ticks), self.fraction, count) + number.to_bytes(size, "big")
 
 
 def stuff(data: bytes) -> bytes:
@@ -251,3 +291,11 @@ def unstuff(data: bytes) -> bytes | None:
             return None
         out += block + (b"\0" if data and code < 255 else b"")
     return out
+
+
+def untext(line: bytes) -> bytes | None:
+    """Bytes of a text frame; None when it is none."""
+    try:
+        return bytes.fromhex(line.split(b":")[-1].decode()) if b":" in line else None
+    except ValueError:
+        return None

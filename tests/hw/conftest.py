@@ -1,34 +1,19 @@
-"""Shared by the hardware tests: the emulated controller, and an alarm against hanging."""
+"""Shared by the hardware tests: an alarm against hanging."""
 
 from __future__ import annotations
 
-import importlib.util
 import signal
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 if not hasattr(signal, "SIGALRM"):
-    collect_ignore_glob = ["test_link.py", "test_cxp.py"]  # no pseudo-terminals on this system
+    # no pseudo-terminals on this system
+    collect_ignore_glob = [
+        f"test_{name}.py" for name in ("link", "cxp", "clock", "pulsepal", "firmware*", "emulated_uno")
+    ]
 
 _LIMIT_S = 90
-
-
-def _load_emulator() -> None:
-    # With importlib mode the tests are no package: the emulator is imported by its path, once per process.
-    path = Path(__file__).parents[1] / "emulators" / "cxp_controller.py"
-    spec = importlib.util.spec_from_file_location("cxp_controller", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["cxp_controller"] = module
-    spec.loader.exec_module(module)
-
-
-if hasattr(signal, "SIGALRM"):
-    _load_emulator()
 
 
 @pytest.fixture(autouse=True)

@@ -4,14 +4,17 @@ import time
 from pathlib import Path
 
 import pytest
-from cxp_controller import ABORT, ARM, ARMED, IDLE, LOAD, LOADED, PLAY, READ, TRIG, CxpController, Faults
+from emulators.cxp_controller import ABORT, ARM, ARMED, IDLE, LOAD, LOADED, PLAY, READ, TRIG, CxpController, Faults
+from emulators.scripted_port import imported_with
 
+from hw.cxp.protocol import State
+from hw.cxp.stored import Stored
 from hw.device import DeviceProfile, load_profile
 from hw.drivers import Trust
 from hw.drivers.cxp import Controller, VerifyError
-from hw.link import LinkError
+from hw.errors import DutyLimitError, OnLimitError, WrongStateError
+from hw.port import LinkError
 from hw.program import Program
-from hw.protocol import OutOfRangeError, State, WrongStateError
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 PROGRAM = Program.from_bits(RASKAR, chip_ns=200_000)
@@ -35,12 +38,12 @@ def test_upload_reads_back_and_reports():
     assert device.ops[1:4] == [LOAD, READ, 7]
     assert (report.port, report.chips, report.chip_ns, report.pulses) == (device.port, 52, 200_000, 13)
     assert (report.duration_ns, report.code_crc32) == (PROGRAM.duration_ns, PROGRAM.code_crc32)
-    assert (report.trust, report.armed, report.lease_ms) == (Trust.READ_BACK, False, None)
+    assert (report.trust, report.armed, report.lease_ms) == (Trust.A, False, None)
 
 
 def test_without_verification_it_is_only_acknowledged():
     with CxpController(Faults(stored_flip=7)) as device, Controller.open(device.port, **FAST) as controller:
-        assert controller.upload(PROGRAM, verify=False).trust == "acknowledged"
+        assert controller.upload(PROGRAM, verify=False).trust is Trust.B
     assert READ not in device.ops
 
 
@@ -48,7 +51,7 @@ def test_the_longest_code_that_the_device_takes():
     program = Program.from_bits("01" * 512, chip_ns=50_000)
     with CxpController() as device, Controller.open(device.port, **FAST) as controller:
         assert controller.upload(program).chips == 1024
-        assert controller.read() == program
+        assert controller.read() == Stored(program.bits, 100, 0)
 
 
 def test_armed_device_stays_armed_after_a_normal_end_and_its_lease_ends_that():
@@ -80,7 +83,7 @@ def test_100_loads_at_1_percent_byte_corruption_are_all_verified(seed):
     codes = [Program.from_bits(f"{k + 1:016b}" + RASKAR[16:], chip_ns=50_000 + 500 * k) for k in range(100)]
     with CxpController(faults) as device, Controller.open(device.port, timeout_s=0.02, attempts=60) as controller:
         for code in codes:
-            assert controller.upload(code).trust is Trust.READ_BACK
+            assert controller.upload(code).trust is Trust.A
             assert (device.bits, device.ticks * 500) == (code.bits, code.chip_ns)
         retries = controller.link.retries
     assert device.ops.count(LOAD) == 100
@@ -132,11 +135,70 @@ def test_bad_lease_is_refused_before_anything_is_sent():
     assert LOAD not in device.ops
 
 
-def test_chip_below_what_only_the_device_knows_is_a_typed_error():
-    with CxpController() as device, Controller.open(device.port, **FAST) as controller:
-        with pytest.raises(OutOfRangeError, match="refuses LOAD"):
-            controller.upload(Program.from_bits("10", chip_ns=10_000))
+def test_limits_that_the_device_announces_are_told_before_anything_is_sent():
+    limited = {"min_ticks": 200, "max_on_ticks": 1500, "max_duty": 500}
+    program = Program.from_bits("11110111", chip_ns=50_000)
+    with CxpController(**limited) as device, Controller.open(device.port, **FAST) as controller:
+        with pytest.raises(ValueError, match=r"at least 100 us.*duty is 0\.875; at most 0\.500"):
+            controller.upload(program)
+        with pytest.raises(ValueError, match=r"longest opening is 1 ms; at most 750 us"):
+            controller.upload(Program.from_bits("1000011000", chip_ns=500_000))
+        assert LOAD not in device.ops
+
+
+def test_limits_are_the_devices_own_too():
+    with CxpController(max_on_ticks=1500, max_duty=500) as device, Controller.open(device.port, **FAST) as controller:
+        with pytest.raises(DutyLimitError, match="refuses LOAD"):
+            controller.load(Program.from_bits("1110", chip_ns=50_000))
+        with pytest.raises(OnLimitError, match="refuses LOAD"):
+            controller.load(Program.from_bits("1100000", chip_ns=500_000))
         assert device.state == IDLE
+
+
+def test_firmware_whose_timing_nobody_proved_is_trusted_less():
+    with CxpController(firmware="homemade 7") as device, Controller.open(device.port, **FAST) as controller:
+        report = controller.upload(PROGRAM)
+    assert (report.trust, report.read_back, report.firmware) == (Trust.B, True, "homemade 7")
+
+
+def test_a_clock_that_is_off_is_corrected_by_fractions_of_a_tick():
+    with CxpController() as device, Controller.open(device.port, **FAST) as controller:
+        assert controller.upload(PROGRAM, clock_ppm=-2021).clock_ppm == -2021
+        assert device.ticks == pytest.approx(400 * (1 - 2021e-6), abs=1 / 65536)
+
+
+def test_a_shutter_that_rests_high_needs_an_inverter():
+    profile = DeviceProfile(name="nc-shutter", closed_level=1)
+    with (
+        CxpController() as device,
+        Controller.open(device.port, **FAST) as controller,
+        pytest.raises(ValueError, match="nc-shutter: closed at a high level"),
+    ):
+        controller.upload(PROGRAM, profile=profile)
+
+
+def test_a_bias_that_nobody_takes_back_is_said():
+    profile = DeviceProfile(name="camera", on_bias_ns=14_000)
+    with CxpController() as device, Controller.open(device.port, **FAST) as controller:
+        (warning,) = controller.upload(PROGRAM, profile=profile).warnings
+    assert "camera makes every opening 14000 ns longer" in warning
+
+
+def test_a_wrong_confirmation_is_caught():
+    with CxpController(Faults(stored_crc_wrong=True)) as device, Controller.open(device.port, **FAST) as controller:
+        with pytest.raises(VerifyError, match="confirms CRC32"):
+            controller.upload(PROGRAM, arm=True)
+        assert ARM not in device.ops
+
+
+def test_a_missed_edge_is_a_fault_until_it_is_aborted():
+    with CxpController(Faults(fault=True)) as device, Controller.open(device.port, **FAST) as controller:
+        controller.upload(PROGRAM, arm=True)
+        controller.trigger()
+        with pytest.raises(VerifyError, match="reports a fault, told to abort"):
+            controller.wait(timeout_s=5)
+        status = controller.status()
+    assert (status.state, status.runs, status.late) == (State.LOADED, 0, 1)
 
 
 def test_nothing_loaded():
@@ -146,7 +208,7 @@ def test_nothing_loaded():
                 refused()
         controller.abort()
         assert controller.status().state is State.IDLE
-        assert controller.hello() == controller.announced
+        assert controller.link.hello() == controller.announced
 
 
 def test_upload_to_an_armed_or_playing_device_is_refused_and_does_not_disturb_it():
@@ -161,7 +223,34 @@ def test_upload_to_an_armed_or_playing_device_is_refused_and_does_not_disturb_it
         assert device.state == PLAY
         controller.abort()
         assert (device.state, device.shutter_open) == (LOADED, False)
-        assert controller.upload(PROGRAM).trust is Trust.READ_BACK
+        assert controller.upload(PROGRAM).trust is Trust.A
+
+
+def interrupted(controller):
+    controller.status()
+    raise KeyboardInterrupt
+
+
+def armed_then_failed(controller):
+    controller.arm()  # a new lease, hence ours from now on
+    raise RuntimeError("mine")
+
+
+def test_an_error_closes_only_what_this_program_began():
+    with CxpController() as device:
+        with Controller.open(device.port, **FAST) as other:
+            other.upload(SLOW, arm=True)
+        for kind, begin in [
+            (WrongStateError, lambda mine: mine.upload(PROGRAM)),
+            (VerifyError, lambda mine: mine.verify(PROGRAM)),
+            (KeyboardInterrupt, interrupted),
+        ]:
+            with pytest.raises(kind), Controller.open(device.port, **FAST) as mine:
+                begin(mine)
+            assert device.state == ARMED
+        with pytest.raises(RuntimeError, match="mine"), Controller.open(device.port, **FAST) as mine:
+            armed_then_failed(mine)
+        assert device.state == LOADED
 
 
 @pytest.mark.parametrize("kind", [RuntimeError, KeyboardInterrupt, SystemExit])
@@ -251,13 +340,4 @@ controller.trigger()
 
 
 def test_importing_hw_does_not_import_serial_or_numpy():
-    code = "import sys, hw.drivers.cxp, hw.export; print(sorted({'serial', 'numpy'} & set(sys.modules)))"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=Path(__file__).parents[2],
-        timeout=60,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.strip() == "[]"
+    assert imported_with("hw.drivers.cxp, hw.export", {"serial", "numpy"}) == set()

@@ -145,7 +145,7 @@ def test_bad_files_get_one_clear_line(tmp_path):
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00")
     for name, words in [
-        ("no-such", "built in are cxp-avr, flc, generic"),
+        ("no-such", "built in are cxp-avr, cxp-rp2040, dmd-dlpc900"),
         (tmp_path / "missing.toml", "No such file"),
         (tmp_path, "cannot be read"),
         (binary, "not UTF-8"),

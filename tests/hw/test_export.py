@@ -1,23 +1,50 @@
 import contextlib
 import json
-import shutil
 import subprocess
+import tomllib
 
 import pytest
+from emulators.tools import require_tool
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hw.device import DeviceProfile
 from hw.export import EXPORTERS, exporter
+from hw.export.pulsepal import pulse_train
+from hw.export.scpi import commands, sample_rate, samples
 from hw.program import Program
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 
-programs = st.builds(
-    Program.from_bits,
-    st.text("01", min_size=1, max_size=150).filter(lambda bits: "1" in bits),
-    chip_ns=st.one_of(st.integers(1, 10**6), st.integers(1, 2**63 - 1)),
+CHIPS_NS = {
+    "arduino": st.integers(100, 65_535).map(lambda ticks: 500 * ticks),
+    "rp2": st.integers(125, 2**32 + 2).map(lambda cycles: 8 * cycles),
+    "pulsepal": st.integers(2, 72_000_000 // 151).map(lambda cycles: 50_000 * cycles),
+    "scpi": st.integers(16, 2 * 10**9),
+    "dmd": st.one_of(st.integers(1, 10**4), st.integers(1, 2**53)).map(lambda us: 1000 * us),
+}
+"""What a format can represent, where that is not everything."""
+ANY_NS = st.one_of(st.integers(1, 10**6), st.integers(1, 2**63 - 1))
+
+codes = st.text("01", min_size=1, max_size=150).filter(lambda bits: "1" in bits)
+devices = st.builds(
+    DeviceProfile,
+    name=st.just("mine"),
+    closed_level=st.integers(0, 1),
+    on_bias_ns=st.one_of(st.just(0), st.integers(1, 10**5)),
 )
-formats = st.sampled_from(sorted(EXPORTERS))
+
+
+@st.composite
+def exports(draw):
+    """Draw (format, program in its domain, the text exported for some device)."""
+    name = draw(st.sampled_from(sorted(EXPORTERS)))
+    device = draw(devices)
+    chips_ns = CHIPS_NS.get(name, ANY_NS)
+    if name == "camera":
+        chips_ns = chips_ns.filter(lambda chip_ns: chip_ns > device.on_bias_ns)
+    program = Program.from_bits(draw(codes), chip_ns=draw(chips_ns))
+    return name, program, EXPORTERS[name].export(program, device)
 
 
 @contextlib.contextmanager
@@ -31,18 +58,19 @@ def _one_short_line_if_refused():
     assert len(message) < 300
 
 
-@settings(deadline=None, max_examples=200)
-@given(formats, programs)
-def test_parse_back_gives_the_identical_program(name, program):
-    back = EXPORTERS[name].parse_back(EXPORTERS[name].export(program))
+@settings(deadline=None, max_examples=400)
+@given(exports())
+def test_parse_back_gives_the_identical_program(exported):
+    name, program, text = exported
+    back = EXPORTERS[name].parse_back(text)
     assert back == program
     assert (back.edges, back.duration_ns) == (program.edges, program.duration_ns)
 
 
-@settings(deadline=None, max_examples=600)
-@given(formats, programs, st.data())
-def test_an_altered_text_is_refused_or_means_the_same(name, program, data):
-    text = EXPORTERS[name].export(program)
+@settings(deadline=None, max_examples=1500)
+@given(exports(), st.data())
+def test_an_altered_text_is_refused_or_means_the_same(exported, data):
+    name, program, text = exported
     at = data.draw(st.integers(0, len(text) - 1))
     new = data.draw(st.one_of(st.just(""), st.sampled_from('01579afx,.:"[]{}-#/ \n'), st.characters()))
     length = data.draw(st.sampled_from([0, 1, 1, 1, 5]))
@@ -51,14 +79,43 @@ def test_an_altered_text_is_refused_or_means_the_same(name, program, data):
         assert EXPORTERS[name].parse_back(altered) == program
 
 
-@settings(deadline=None, max_examples=100)
-@given(formats, programs, st.data())
-def test_a_truncated_text_is_refused_or_means_the_same(name, program, data):
-    text = EXPORTERS[name].export(program)
+@settings(deadline=None, max_examples=300)
+@given(exports(), st.data())
+def test_a_truncated_text_is_refused_or_means_the_same(exported, data):
+    name, program, text = exported
     cut = data.draw(st.integers(0, len(text) - 1))
     with _one_short_line_if_refused():
         assert EXPORTERS[name].parse_back(text[:cut]) == program
         assert not text[cut:].strip()
+
+
+@pytest.mark.parametrize("name", sorted(set(EXPORTERS) - {"c", "csv", "json"}))
+def test_what_plays_is_compared_to_the_last_line(name):
+    """A file for a player holds more than the code, so that any altered line makes it another program."""
+    program = Program.from_bits("0110", chip_ns=200_000)
+    lines = EXPORTERS[name].export(program).rstrip().split("\n")
+    for number in range(len(lines)):
+        altered = [line + " " * (k == number) for k, line in enumerate(lines)]
+        if number < len(lines) - 1:
+            with pytest.raises(ValueError, match=r"."):
+                EXPORTERS[name].parse_back("\n".join(altered))
+    assert EXPORTERS[name].parse_back("\n".join(lines)) == program
+
+
+def _files(program, device):
+    return {name: each.export(program, device) for name, each in EXPORTERS.items()}
+
+
+def test_a_shutter_that_is_closed_when_high_is_driven_inverted():
+    program = Program.from_bits("1011", chip_ns=200_000)
+    plain = _files(program, DeviceProfile(name="low"))
+    turned = _files(program, DeviceProfile(name="high", closed_level=1))
+    # csv, json, vcd, c and dmd say open and closed, the others say how to drive a pin
+    assert {name for name in EXPORTERS if plain[name] != turned[name]} == {
+        "arduino", "rp2", "pulsepal", "scpi", "camera",
+    }  # fmt: skip
+    for name, text in turned.items():
+        assert EXPORTERS[name].parse_back(text) == program
 
 
 def test_csv_text():
@@ -105,6 +162,12 @@ def _c(old, new):
     return text.replace(old, new)
 
 
+def _altered(name, old, new):
+    text = EXPORTERS[name].export(Program.from_bits("1011", chip_ns=200_000))
+    assert old in text
+    return text.replace(old, new)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
@@ -145,6 +208,35 @@ def _c(old, new):
         ("c", _c("CHIPS 4u", "CHIPS 5u"), "CRC32"),
         ("c", _c("#define SHUTTER_CODE_CHIPS 4u\n", ""), "0 of SHUTTER_CODE_CHIPS"),
         ("c", _c("CRC32", "crc"), "CRC32 comment"),
+        ("vcd", "", "0 of '\\$comment chip_ns'"),
+        ("vcd", _altered("vcd", "chips 4", "chips 5"), "CRC32"),
+        ("vcd", _altered("vcd", "chips 4", "chips 99999999999"), "at most 10000000"),
+        ("vcd", _altered("vcd", "1 ns $end", "1 us $end"), "line 3 .* altered"),
+        ("vcd", _altered("vcd", "#600000\n1s", "#600000\n0s"), "level"),
+        ("arduino", "", "0 of CHIPS"),
+        ("arduino", _altered("arduino", "TICKS 400u", "TICKS 4000u"), "CRC32"),
+        ("arduino", _altered("arduino", "WDTO_60MS", "WDTO_8S"), "line .* altered"),
+        ("rp2", "", "0 of CHIPS"),
+        ("rp2", _altered("rp2", "0xb0000000", "0xb"), "words like"),
+        ("rp2", _altered("rp2", "CHIPS = 4", "CHIPS = 40"), "hold 32 levels"),
+        ("rp2", _altered("rp2", "Pin(15", "Pin(16"), "line .* altered"),
+        ("pulsepal", "", "format 'None'"),
+        ("pulsepal", "\x00", "not TOML"),
+        ("pulsepal", _altered("pulsepal", "[channel]", "[other]"), "no table"),
+        ("pulsepal", _altered("pulsepal", "0, 8, 12", "0, 8, 13"), "onset '13'"),
+        ("pulsepal", _altered("pulsepal", "0, 8, 12", "0, 8, 16"), "onset '16'"),
+        ("pulsepal", _altered("pulsepal", "phase1_volts = 5.0", "phase1_volts = 3.3"), "line .* altered"),
+        ("scpi", "", "0 of '# chips:'"),
+        ("scpi", _altered("scpi", ",-1,-1,-1\n", "\n"), "samples"),
+        ("scpi", _altered("scpi", "SRAT 5000", "SRAT 5001"), "line .* altered"),
+        ("camera", "", "format 'None'"),
+        ("camera", _altered("camera", ", 400.000", ", 400.0001"), "microseconds"),
+        ("camera", _altered("camera", ", 400.000", ", nan"), "microseconds"),
+        ("camera", _altered("camera", ", 400.000,", ", 400.000, 1.000,"), "one gap less"),
+        ("camera", _altered("camera", "0x83050002", "0x83050003"), "line .* altered"),
+        ("dmd", "", "0 of '# chip_ns:'"),
+        ("dmd", _altered("dmd", "400,0", "200,200"), "CRC32"),
+        ("dmd", _altered("dmd", "400,0", "400"), "row like"),
     ],
 )
 def test_corrupted_texts_get_one_clear_line(name, text, words):
@@ -153,19 +245,137 @@ def test_corrupted_texts_get_one_clear_line(name, text, words):
     assert "\n" not in str(caught.value)
 
 
+REFUSALS = [
+    ("arduino", "1", 200_100, "200000 ns would do"),
+    ("arduino", "1", 49_500, "50000 ns would do"),
+    ("arduino", "1", 32_768_000, "32767500 ns would do"),
+    ("arduino", "1" * 65_536, 50_000, "at most 65535"),
+    ("rp2", "1", 1001, "1000 ns would do"),
+    ("rp2", "1", 8, "1000 ns would do"),
+    ("rp2", "1", 8 * (2**32 + 3), "34359738384 ns would do"),
+    ("rp2", "1" * 224, 1000, "queue holds 223"),
+    ("pulsepal", "1", 120_000, "100000 ns would do"),
+    ("pulsepal", "1", 50_000, "100000 ns would do"),
+    ("pulsepal", "1" * 5001, 100_000, "at most 5000"),
+    ("pulsepal", "1", 1801 * 10**9, "at most 3600 s"),
+    ("scpi", "1", 15, "at least 16 ns"),
+    ("scpi", "1", 3 * 10**13 + 1, "within 1 ppm"),
+    ("scpi", "1" * 999_999, 1000, "at most 999998 chips"),
+    ("camera", "10" * 4096, 1000, "at most 4095"),
+    ("dmd", "1", 105_001, "105000 ns would do"),
+    ("dmd", "1", 999, "1000 ns would do"),
+]
+
+
+@pytest.mark.parametrize(("name", "bits", "chip_ns", "words"), REFUSALS)
+def test_what_a_format_cannot_say_is_refused_with_what_would_do(name, bits, chip_ns, words):
+    with pytest.raises(ValueError, match=words) as caught:
+        EXPORTERS[name].export(Program(bits, chip_ns))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_largest_each_format_can_say():
+    for name, bits, chip_ns in [
+        ("arduino", "1" * 65_535, 32_767_500),
+        ("rp2", "1" * 223, 8 * (2**32 + 2)),
+        ("pulsepal", "1" * 5000, 100_000),
+        ("pulsepal", "1", 1800 * 10**9),
+        ("scpi", "01" * 10_000, 16),
+        ("camera", "10" * 4095, 1),
+        ("dmd", "01" * 500, 1000),
+    ]:
+        program = Program(bits, chip_ns)
+        assert EXPORTERS[name].parse_back(EXPORTERS[name].export(program)) == program
+
+
+def test_a_camera_is_told_the_widths_without_what_it_adds_itself():
+    camera = DeviceProfile(name="camera", on_bias_ns=13_500)
+    program = Program.from_bits("0110010", chip_ns=50_000)
+    recipe = tomllib.loads(EXPORTERS["camera"].export(program, camera))
+    assert recipe["pulses"] == {
+        "count": 2,
+        "active_level": 1,
+        "on_bias_us": 13.5,
+        "first_delay_us": 50.0,
+        "widths_us": [86.5, 36.5],
+        "gaps_us": [113.5],
+        "last_delay_us": 50.0,
+    }
+    assert recipe["flir"] == {"register": "0x830", "value": "0x83050002"}
+    assert recipe["ximea"]["XI_PRM_EXPOSURE_BURST_COUNT"] == 2
+    assert "matrix_vision" not in recipe  # it exposes all pulses alike
+    alike = tomllib.loads(EXPORTERS["camera"].export(Program("10010", 50_000), camera))
+    assert alike["matrix_vision"] == {"ExposureMode": "Timed", "ExposureTime": 36.5, "mvMultiExposureCount": 2}
+    with pytest.raises(ValueError, match="shortest opening is 13500 ns: the camera adds 13500 ns"):
+        EXPORTERS["camera"].export(Program("10", 13_500), camera)
+
+
+def test_dmd_list():
+    lines = EXPORTERS["dmd"].export(Program.from_bits("0110010", chip_ns=105_000)).splitlines()
+    assert lines[4:] == ["# patterns: 2", "# leading_dark_us: 105", "exposure_us,dark_us", "210,210", "105,105"]
+
+
+@settings(deadline=None)
+@given(codes, st.integers(2, 1000), st.integers(0, 20))
+def test_pulse_train_plays_the_program(bits, cycles, leading):
+    """By the device's rule: a pulse lasts phase 1, and one that starts no later than its predecessor ends joins it."""
+    program = Program("0" * leading + bits, 50_000 * cycles)
+    train = pulse_train(program)
+    assert train.onsets_cycles[0] == 0
+    assert train.onsets_cycles[-1] + train.phase_cycles < train.guard_cycles
+    assert train.delay_cycles + train.onsets_cycles[-1] + train.phase_cycles < train.train_cycles
+    edges = []
+    for onset in train.onsets_cycles:
+        begin = (train.delay_cycles + onset) * 50_000
+        if edges and edges[-1][0] >= begin:
+            edges.pop()
+        else:
+            edges.append((begin, 1))
+        edges.append((begin + train.phase_cycles * 50_000, 0))
+    assert tuple(edges) == program.edges
+
+
+@settings(deadline=None)
+@given(codes, st.integers(16, 10**9), st.integers(0, 1))
+def test_waveform_rests_closed_at_both_ends_and_plays_the_program(bits, chip_ns, closed_level):
+    program = Program(bits, chip_ns)
+    device = DeviceProfile(name="mine", closed_level=closed_level)
+    levels = samples(program, device)
+    closed = 2 * closed_level - 1
+    assert len(levels) >= 8
+    assert levels[0] == levels[-1] == closed
+    opened = "".join("0" if level == closed else "1" for level in levels)
+    assert opened.rstrip("0") == f"0{bits}".rstrip("0")
+    assert abs(float(sample_rate(program)) * chip_ns / 1e9 - 1) <= 1e-6
+    assert commands(program, device)[4] == f"DATA:ARB SHUTTER,{','.join(map(str, levels))}"
+
+
+def test_scpi_script_is_the_commands_line_by_line():
+    program = Program.from_bits("101", chip_ns=300_000)
+    script = EXPORTERS["scpi"].export(program)
+    assert tuple(line for line in script.splitlines() if not line.startswith("#")) == commands(program)
+    assert "FUNC:ARB:SRAT 3333.333333" in script
+    assert "DATA:ARB SHUTTER,-1,1,-1,1,-1,-1,-1,-1" in script
+
+
 def test_unknown_format():
-    with pytest.raises(ValueError, match=r"'vhs' is unknown: known are c, csv, json"):
+    with pytest.raises(
+        ValueError, match=r"'vhs' is unknown: known are csv, json, vcd, c, arduino, rp2, pulsepal, scpi"
+    ):
         exporter("vhs")
     assert exporter("csv") is EXPORTERS["csv"]
 
 
-def test_suffixes():
-    assert {name: each.suffix for name, each in EXPORTERS.items()} == {"c": ".h", "csv": ".csv", "json": ".json"}
+def test_suffixes_differ_and_every_format_says_what_it_is():
+    suffixes = {name: each.suffix for name, each in EXPORTERS.items()}
+    assert len(set(suffixes.values())) == len(EXPORTERS) == 10
+    assert suffixes["arduino"] == ".ino"
+    assert all(20 < len(each.summary) < 90 and "\n" not in each.summary for each in EXPORTERS.values())
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed: the C header is not compiled")
 @pytest.mark.parametrize(("bits", "chip_ns"), [(RASKAR, 200_000), ("1", 2**63 - 1), ("0" * 100 + "1" * 101, 1)])
 def test_c_header_compiles_and_plays(tmp_path, bits, chip_ns):
+    require_tool("gcc")
     program = Program.from_bits(bits, chip_ns=chip_ns)
     (tmp_path / "code.h").write_text(EXPORTERS["c"].export(program))
     (tmp_path / "main.c").write_text("""

@@ -1,103 +1,84 @@
 import struct
+import zlib
 
 import pytest
 
-from hw.framing import FrameError, cobs_decode, cobs_encode, crc16
-from hw.program import Program
-from hw.protocol import (
+from hw.cxp.framing import FrameError
+from hw.cxp.protocol import (
+    Hello,
+    Op,
+    Reply,
+    ResetCause,
+    State,
+    Status,
+    pack_arm,
+    parse_reply,
+    request_body,
+    unpack_crc,
+    unpack_hello,
+    unpack_status,
+)
+from hw.errors import (
     BadLengthError,
     BadOpError,
     DeviceError,
     DutyLimitError,
     ErrorCode,
-    Hello,
-    Op,
+    OnLimitError,
     OutOfRangeError,
-    Reply,
-    State,
-    Status,
     WrongStateError,
-    decode_reply,
     device_error,
-    encode_request,
-    pack_arm,
-    pack_load,
-    unpack_hello,
-    unpack_load,
-    unpack_status,
 )
 
-PROGRAM = Program.from_bits("101100000111", chip_ns=200_000)
-
-
-def frame(body):
-    return cobs_encode(body + struct.pack("<H", crc16(body)))
+HELLO = bytes.fromhex("43585031 01 03 0004 f401 64000000 ffff0000 00000000 e803 204e0000 00") + b"cxp-avr 1"
 
 
 def test_request_layout():
-    sent = encode_request(Op.LOAD, 2, pack_load(PROGRAM, tick_ns=500))
-    assert sent.hex(" ") == "06 02 02 90 01 0c 05 b0 70 26 95 00"
-    raw = cobs_decode(sent[:-1])
-    assert raw[:2] == bytes([2, 2])
-    assert struct.unpack("<HH", raw[2:6]) == (400, 12)
-    assert raw[6:8] == bytes([0b10110000, 0b01110000])
+    assert request_body(Op.LOAD, 2, b"abc") == b"\x02\x02abc"
 
 
 def test_reply_layout():
-    assert decode_reply(frame(bytes([0x87, 6, 0]) + b"abc")) == Reply(7, 6, 0, b"abc")
+    assert parse_reply(bytes([0x87, 6, 0]) + b"abc") == Reply(7, 6, 0, b"abc")
 
 
-def test_every_single_bit_error_in_a_reply_is_noticed():
-    good = frame(bytes([0x83, 3, 0]) + pack_load(PROGRAM, tick_ns=500))
-    want = decode_reply(good)
-    for k in range(8 * len(good)):
-        bad = bytearray(good)
-        bad[k // 8] ^= 1 << k % 8
-        with pytest.raises(FrameError):
-            decode_reply(bytes(bad))
-    assert decode_reply(good) == want
-
-
-@pytest.mark.parametrize(
-    ("body", "words"), [(bytes([0x81, 1]), "at least 5"), (bytes([0x01, 1, 0]), "not a reply"), (b"", "at least 5")]
-)
+@pytest.mark.parametrize(("body", "words"), [(bytes([0x81, 1]), "at least 3"), (bytes([0x01, 1, 0]), "not a reply")])
 def test_malformed_replies(body, words):
     with pytest.raises(FrameError, match=words):
-        decode_reply(frame(body))
-
-
-def test_load_and_read_are_inverse():
-    for bits in ("1", "10000000", "111111110", "01" * 512):
-        program = Program.from_bits(bits, chip_ns=65535 * 500)
-        assert unpack_load(pack_load(program, tick_ns=500), tick_ns=500) == program
-
-
-@pytest.mark.parametrize(("chip_ns", "chips"), [(200_100, 52), (65536 * 500, 52), (200_000, 65536)])
-def test_load_refuses_what_its_fields_cannot_say(chip_ns, chips):
-    with pytest.raises(ValueError, match=r"whole ticks of 500 ns|at most 65535"):
-        pack_load(Program("1" * chips, chip_ns), tick_ns=500)
-
-
-@pytest.mark.parametrize(
-    "data", [b"", b"\x90\x01\x0c\x00", b"\x90\x01\x0c\x00\xb0", b"\0\0\x08\0\xff", b"\1\0\x08\0\0"]
-)
-def test_read_refuses_what_is_no_program(data):
-    with pytest.raises(FrameError, match="READ reply"):
-        unpack_load(data, tick_ns=500)
+        parse_reply(body)
 
 
 def test_hello():
-    assert unpack_hello(b"CXP1\x01\x00\x00\x04\xf4\x01later") == Hello(version=1, max_chips=1024, tick_ns=500)
+    told = Hello(
+        version=1, fractions=True, trigger_input=True, max_chips=1024, tick_ns=500, min_ticks=100, max_ticks=65535,
+        max_on_ticks=None, max_duty=None, lead_ns=20_000, reset_cause=ResetCause.POWER, firmware="cxp-avr 1",
+    )  # fmt: skip
+    assert unpack_hello(HELLO) == told
+    assert unpack_hello(HELLO + b"\0and more of later versions") == told
+
+
+def test_hello_with_limits_after_a_watchdog_reset():
+    data = bytearray(HELLO)
+    data[5] = 0
+    data[18:24] = struct.pack("<IH", 4000, 250)
+    data[28] = 3
+    told = unpack_hello(bytes(data))
+    assert (told.fractions, told.trigger_input) == (False, False)
+    assert (told.max_on_ticks, told.max_duty, told.reset_cause) == (4000, 0.25, ResetCause.WATCHDOG)
+    data[28] = 77
+    assert unpack_hello(bytes(data)).reset_cause is ResetCause.UNKNOWN
 
 
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (b"CXP1\x01\x00\x00\x04\xf4", "9 bytes"),
-        (b"CXP2\x01\x00\x00\x04\xf4\x01", "CXP2"),
-        (b"CXP1\x02\x00\x00\x04\xf4\x01", "version 2"),
-        (b"CXP1\x01\x00\x00\x00\xf4\x01", "0 chips"),
-        (b"CXP1\x01\x00\x00\x04\x00\x00", "tick of 0"),
+        (HELLO[:28], "28 bytes"),
+        (b"", "begins with b''"),
+        (HELLO.replace(b"CXP1", b"CXP2"), "CXP2"),
+        (HELLO[:4] + b"\2" + HELLO[5:], "version 2"),
+        (HELLO[:6] + b"\0\0" + HELLO[8:], "0 chips"),
+        (HELLO[:8] + b"\0\0" + HELLO[10:], "ticks of 0 ns"),
+        (HELLO[:10] + bytes(4) + HELLO[14:], r"of 0\.\.65535"),
+        (HELLO[:14] + bytes(4) + HELLO[18:], r"of 100\.\.0"),
     ],
 )
 def test_bad_hello(data, words):
@@ -106,11 +87,19 @@ def test_bad_hello(data, words):
 
 
 def test_status():
-    assert unpack_status(bytes.fromhex("03 0500 0200 00 01")) == Status(State.PLAY, 5, 2, 0, 1)
+    data = bytes.fromhex("03 0500 0200 00 01 87d61200 e0944ccb")
+    assert unpack_status(data) == Status(State.PLAY, 5, 2, 0, 1, 1_234_567, 0xCB4C94E0)
+    assert unpack_status(data + b"later").state is State.PLAY
     with pytest.raises(FrameError, match="state 9"):
-        unpack_status(bytes.fromhex("09 0500 0200 00 01"))
-    with pytest.raises(FrameError, match="6 bytes"):
-        unpack_status(bytes(6))
+        unpack_status(b"\x09" + data[1:])
+    with pytest.raises(FrameError, match="14 bytes"):
+        unpack_status(data[:-1])
+
+
+def test_confirmed_crc():
+    assert unpack_crc(struct.pack("<I", zlib.crc32(b"x"))) == zlib.crc32(b"x")
+    with pytest.raises(FrameError, match="3 bytes"):
+        unpack_crc(b"abc")
 
 
 def test_lease():
@@ -128,11 +117,12 @@ def test_lease():
         (ErrorCode.OUT_OF_RANGE, OutOfRangeError),
         (ErrorCode.WRONG_STATE, WrongStateError),
         (ErrorCode.DUTY_LIMIT, DutyLimitError),
+        (ErrorCode.ON_LIMIT, OnLimitError),
         (77, DeviceError),
     ],
 )
 def test_errors_are_typed(code, kind):
-    error = device_error(Reply(Op.ARM, 1, code, b""), source="COM3")
+    error = device_error(code, request="ARM", source="COM3")
     assert type(error) is kind
     assert str(error).startswith("COM3 refuses ARM: ")
     assert "\n" not in str(error)

@@ -14,7 +14,7 @@ from cep.code import ShutterCode
 from cep.mtf import CodeMetrics
 from cep.search.annealing.chains import Cooling, Crew, Walks
 from cep.search.annealing.polish import polish
-from cep.search.annealing.tables import has_run_limits, lay_out
+from cep.search.annealing.tables import lay_out
 from cep.search.objective import Objective, sample_count
 from cep.search.problem import SearchProblem
 
@@ -230,7 +230,7 @@ def _plans(
     """Plan a round: chains that cool from everything given, from the best and from anywhere, others that walk."""
     hot = hottest_db(problem)
     walks = 0
-    if not (first or has_run_limits(problem) or problem.chips**2 // 4 > MOST_SWAPS):
+    if not (first or problem.limits_runs or problem.chips**2 // 4 > MOST_SWAPS):
         straight = all(straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios)
         walks = _WALKS_STRAIGHT if straight and problem.chips <= _SHORT else _WALKS_OTHERS
     cooled = _CHAINS - walks

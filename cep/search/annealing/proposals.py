@@ -27,10 +27,10 @@ class Limits(NamedTuple):
         Of one frame.
     low, high : int
         Fewest and most open chips, over all frames.
-    min_open, min_closed, max_pulses : int
+    min_open, min_closed, max_pulses, max_open, min_period : int
         Of every frame.
     constrained : bool
-        Whether any of these three says something.
+        Whether any of these five says something.
     """
 
     chips: int
@@ -39,6 +39,8 @@ class Limits(NamedTuple):
     min_open: int
     min_closed: int
     max_pulses: int
+    max_open: int
+    min_period: int
     constrained: bool
 
 
@@ -76,7 +78,7 @@ def draw_blocks(
 ) -> int:
     """Draw a move that keeps run limits: swap two chips, flip a block, or cut a block out and put it elsewhere."""
     chips = limits.chips
-    longest = min(chips, max(limits.min_open, limits.min_closed) + 1)
+    longest = min(chips, max(limits.min_open + 1, limits.min_closed + 1, limits.min_period))
     for _ in range(_TRIES):
         frame = chips * int(uniform(random) * (code.size // chips))
         trial[:] = code
@@ -110,23 +112,26 @@ def draw_blocks(
 
 @compiled
 def keeps_runs(code: Codes, limits: Any) -> bool:
-    """Whether every frame keeps the shortest runs and the pulses; before and after its pulses it is closed."""
+    """Whether every frame keeps the limits on runs and pulses; before and after its pulses it is closed."""
     chips = limits.chips
     for start in range(0, code.size, chips):
-        run, pulses, value = 0, 0, 0
+        run, pulses, value, began = 0, 0, 0, 0
         for j in range(start, start + chips):
             if code[j] == value:
                 run += 1
                 continue
             if value == 1:
-                if run < limits.min_open:
+                if run < limits.min_open or run > limits.max_open:
                     return False
             else:
-                if pulses > 0 and run < limits.min_closed:
+                if pulses > 0 and (run < limits.min_closed or j - began < limits.min_period):
                     return False
                 pulses += 1
+                began = j
             value = code[j]
             run = 1
-        if (value == 1 and run < limits.min_open) or pulses > limits.max_pulses:
+        if value == 1 and (run < limits.min_open or run > limits.max_open):
+            return False
+        if pulses > limits.max_pulses:
             return False
     return True

@@ -10,7 +10,7 @@ from cep.search.annealing.terms import BLOCK, FLATNESS, RECIPROCAL, STEEP, Table
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
-__all__ = ["has_run_limits", "lay_out", "limits_of", "work_space"]
+__all__ = ["lay_out", "limits_of", "work_space"]
 
 FloatArray = NDArray[np.float64]
 _LEAST = 1e-9  # of a term's x, however deep a zero: 1 / x^4 must not overflow
@@ -20,13 +20,17 @@ _NEVER = 1e30  # offset of columns that fill up a block: their terms vanish
 def limits_of(problem: SearchProblem) -> Limits:
     """Light and run limits for the compiled loop."""
     low, high = problem.open_limits
-    pulses = problem.chips if problem.max_pulses is None else problem.max_pulses
-    return Limits(problem.chips, low, high, problem.min_open, problem.min_closed, pulses, has_run_limits(problem))
-
-
-def has_run_limits(problem: SearchProblem) -> bool:
-    """Whether runs or pulses are limited, so that single flips and swaps seldom lead anywhere."""
-    return problem.min_open > 1 or problem.min_closed > 1 or problem.max_pulses is not None
+    return Limits(
+        problem.chips,
+        low,
+        high,
+        problem.min_open,
+        problem.min_closed,
+        problem.max_pulses or problem.chips,
+        problem.max_open or problem.chips,
+        problem.min_period,
+        problem.limits_runs,
+    )
 
 
 def lay_out(objective: Objective) -> Tables:
@@ -86,7 +90,7 @@ def lay_out(objective: Objective) -> Tables:
 def work_space(tables: Tables, problem: SearchProblem) -> NDArray[np.float32] | None:
     """Work space for the compiled loops: None where moves change two chips at most and one plain sum decides."""
     usual = len(tables.kinds) == 1 and tables.kinds[0] != FLATNESS and tables.scale.shape[2] == 1
-    return None if usual and not has_run_limits(problem) else np.empty((3, BLOCK), np.float32)
+    return None if usual and not problem.limits_runs else np.empty((3, BLOCK), np.float32)
 
 
 def _contiguous(array: FloatArray) -> NDArray[np.float32]:

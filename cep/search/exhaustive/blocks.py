@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
-from itertools import groupby, pairwise
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from cep.search.exhaustive.exhaust import (
     BYTES,
     INNER,
     SHIFT,
-    Limits,
     Part,
     all_patterns,
     dot,
@@ -21,6 +20,7 @@ from cep.search.exhaustive.exhaust import (
     scan,
     sums_by_byte,
 )
+from cep.search.exhaustive.runs import Limits, possible
 
 __all__ = ["MARGIN", "Scanner", "Tables"]
 
@@ -98,12 +98,16 @@ class Scanner:
     length : int
         At least 12.
     ends_open : bool
-        Codes with both end chips open, one of each mirror pair; otherwise all codes.
+        Codes with both end chips open; otherwise all codes.
+    mirrors : bool
+        Of codes with both end chips open, one of each mirror pair.
     fixed : str, optional
         "1" forced open, "0" forced closed, "?" free, for every chip.
     """
 
-    def __init__(self, tables: Tables, length: int, *, ends_open: bool, fixed: str | None = None) -> None:
+    def __init__(
+        self, tables: Tables, length: int, *, ends_open: bool, mirrors: bool, fixed: str | None = None
+    ) -> None:
         self.tables = tables
         limits = tables.limits
         head, near, tail = _cut(length)
@@ -118,7 +122,7 @@ class Scanner:
         ways = [front, all_patterns(near), all_patterns(INNER), back]
         sides = [(True, False), (False, False), (False, False), (False, True)]
         keep = [
-            _possible(way, limits, side) & _allowed(way, int(place), fixed)
+            possible(way, limits, side) & _allowed(way, int(place), fixed)
             for way, side, place in zip(ways, sides, places[:4], strict=True)
         ]
         order = np.argsort(seen_back, kind="stable")
@@ -132,7 +136,7 @@ class Scanner:
         self.tail = self._part(back, int(places[3]))
         # of a pair of mirror images, the one whose tail does not come after its head; ties go both ways
         self.tails = np.full(len(front), len(back), dtype=np.int64)
-        if ends_open:
+        if ends_open and mirrors:
             self.tails[:] = np.searchsorted(seen_back, seen_front, side="right")
         inner = ways[2]
         self.inner_bits = _bits(inner, tables.inner_at)
@@ -222,19 +226,3 @@ def _allowed(patterns: Patterns, start: int, fixed: str | None) -> NDArray[np.bo
     if marks.size == 0:
         return np.ones(len(patterns), dtype=np.bool_)
     return np.asarray(((marks == "?") | (patterns == (marks == "1"))).all(axis=1), dtype=np.bool_)
-
-
-def _possible(patterns: Patterns, limits: Limits, ends: tuple[bool, bool]) -> NDArray[np.bool_]:
-    """Which patterns may be part of a code that keeps the run limits; ``ends`` tells where the code itself ends."""
-    if limits.min_open == 1 and limits.min_closed == 1:
-        return np.ones(len(patterns), dtype=np.bool_)
-    return np.array([_runs_fit(row.tolist(), limits, ends) for row in patterns], dtype=np.bool_)
-
-
-def _runs_fit(row: list[int], limits: Limits, ends: tuple[bool, bool]) -> bool:
-    runs = [(bit, len(list(group))) for bit, group in groupby(row)]
-    for index, (bit, length) in enumerate(runs):
-        inside = (index > 0 or (bit and ends[0])) and (index < len(runs) - 1 or (bit and ends[1]))
-        if inside and length < (limits.min_open if bit else limits.min_closed):
-            return False
-    return True

@@ -1,8 +1,9 @@
 """Proven optimum: every code is judged, or left out at a frequency where its |H| is below the best code's minimum.
 
 On the unit circle a shift in time and the reversal change nothing, so the codes of n chips are those of every length
-up to n with both end chips open, one of each mirror pair. :mod:`.exhaust` discards nearly all of them, billions a
-second; the few that it leaves are judged here in float64, and the winner is certified over the continuum.
+up to n with both end chips open, one of each mirror pair, or both where the reversal may break the limit on the
+pulses' period. :mod:`.exhaust` discards nearly all of them, billions a second; the few that it leaves are judged here
+in float64, and the winner is certified over the continuum.
 
 References
 ----------
@@ -29,8 +30,9 @@ from cep.code import ShutterCode
 from cep.exposure import chip_basis
 from cep.search.exhaustive.blocks import MARGIN, Scanner, Tables
 from cep.search.exhaustive.climb import climbed
-from cep.search.exhaustive.exhaust import BYTES, INNER, Limits, dot
+from cep.search.exhaustive.exhaust import BYTES, INNER, dot
 from cep.search.exhaustive.proof import ExactResult, LengthLog, ProofLog
+from cep.search.exhaustive.runs import Limits
 from cep.search.problem import SearchProblem
 
 __all__ = ["ExactResult", "LengthLog", "ProofLog", "codes_to_count", "exact"]
@@ -49,9 +51,10 @@ _DARK = 1e-9  # |H| at which no code passes anything
 
 
 def codes_to_count(problem: SearchProblem) -> int:
-    """Say how many codes a proof goes through, mirror images once; a core does billions a second."""
-    free = not problem.scenarios and problem.fixed is None
-    return int(2 ** max(problem.chips - 2, 0)) if free else int(2**problem.chips)
+    """Say how many codes a proof goes through, mirror images mostly once; a core does billions a second."""
+    if problem.scenarios or problem.fixed is not None:
+        return int(2**problem.chips)
+    return int(2 ** max(problem.chips - 1 - problem.mirrors, 0))
 
 
 def exact(
@@ -109,13 +112,12 @@ class _Proof:
     def __init__(self, problem: SearchProblem, resume: ProofLog | None) -> None:
         self.problem = problem
         self.circle = not problem.scenarios
-        # shifts and mirror images are as good as the code
+        # shifts are as good as the code, and so are their mirror images that keep the limits
         self.free = self.circle and problem.fixed is None
         self.basis = _basis(problem)
         if np.abs(self.basis).sum(axis=0).min() < _DARK:
             raise ValueError("scenarios: at some frequency no code passes anything, every minimum is 0")
-        low, high = problem.open_limits
-        self.limits = Limits(low, high, problem.min_open, problem.min_closed, problem.max_pulses or 64)
+        self.limits = Limits.of(problem)
         self.best, self.value, self.limit, self.ceiling = "", -1.0, 0.0, 0.0
         self.tables: Tables | None = None
         self.lock = Lock()
@@ -142,7 +144,11 @@ class _Proof:
                 self._consider(bits[index], float(sampled[index]))
 
     def _consider(self, bits: NDArray[np.int8], sampled: float) -> None:
-        name = _canonical(bits) if self.free else _name(bits)
+        name = _name(bits)
+        if self.free:
+            # at the start; of two mirror images the one that opens more and earlier
+            core = name.strip("0")
+            name = (max(core, core[::-1]) if self.problem.mirrors else core).ljust(bits.size, "0")
         value = min(sampled, min_chip(ShutterCode(name))) if self.circle else sampled
         self.ceiling = max(self.ceiling, value)
         tie = _TIE * max(value, 1e-3)
@@ -212,7 +218,7 @@ class _Proof:
             self.tables = Tables(self.basis, self.limits, self.limit)
         elif self.limit > _GROWTH * self.tables.limit:
             self.tables = self.tables.tightened(self.limit)
-        return Scanner(self.tables, length, ends_open=self.free, fixed=self.problem.fixed)
+        return Scanner(self.tables, length, ends_open=self.free, mirrors=self.problem.mirrors, fixed=self.problem.fixed)
 
     def _slice(self, scanner: Scanner, heads: tuple[int, int], halt: NDArray[np.bool_]) -> NDArray[np.int64]:
         span, counts = np.array([*heads, 0], dtype=np.int64), np.zeros(4, dtype=np.int64)
@@ -254,7 +260,7 @@ class _Proof:
         return code, minimum, log
 
     def _limits(self) -> dict[str, int | str | None]:
-        names = ("min_open", "min_closed", "max_pulses", "fixed")
+        names = ("min_open", "min_closed", "max_pulses", "max_open", "min_period", "fixed")
         low, high = self.problem.open_limits
         return {"fewest_open": low, "most_open": high} | {name: getattr(self.problem, name) for name in names}
 
@@ -273,12 +279,6 @@ def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
         samples = band_samples(path)
         rows.append(chip_basis(path, problem.chips, samples.fx, samples.fy, edges=one.edges))
     return np.concatenate(rows, axis=1)
-
-
-def _canonical(bits: NDArray[np.int8]) -> str:
-    """Code of its shifts and mirror images: at the start, the way round that opens more and earlier."""
-    core = _name(bits).strip("0")
-    return max(core, core[::-1]).ljust(bits.size, "0")
 
 
 def _name(bits: NDArray[np.int8]) -> str:

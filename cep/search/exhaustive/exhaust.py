@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
+from cep.search.exhaustive.runs import Limits, free_runs, keeps_runs
 
-__all__ = ["BYTES", "INNER", "SHIFT", "Limits", "Part", "all_patterns", "dot", "fill_cells", "scan", "sums_by_byte"]
+__all__ = ["BYTES", "INNER", "SHIFT", "Part", "all_patterns", "dot", "fill_cells", "scan", "sums_by_byte"]
 
 INNER = 10  # chips of a block: its 1024 bits are two vector registers
 BYTES = 6  # of a code: 48 chips at most
@@ -47,16 +48,6 @@ class Part(NamedTuple):
     sums: Ints
     opened: Counts
     pulses: Counts
-
-
-class Limits(NamedTuple):
-    """Limits on light and on runs, as in a search problem; ``max_pulses`` is 64 for none."""
-
-    fewest: int
-    most: int
-    min_open: int
-    min_closed: int
-    max_pulses: int
 
 
 def all_patterns(chips: int) -> NDArray[np.int8]:
@@ -126,22 +117,6 @@ def sums_by_byte(basis: NDArray[np.complex128]) -> NDArray[np.float32]:
     sums = np.stack([dot(all_patterns(8), padded[8 * byte : 8 * byte + 8]) for byte in range(BYTES)])
     blocks = sums.reshape(BYTES, 256, -1, LANES).transpose(2, 0, 1, 3)
     return np.ascontiguousarray(np.concatenate([blocks.real, blocks.imag], axis=-1), dtype=np.float32)
-
-
-@compiled
-def _keeps_runs(code: np.uint64, limits: Limits) -> bool:
-    """Whether every run limit holds; closed chips before the first and after the last pulse do not count."""
-    pulses, run, is_open = 0, limits.min_closed, False
-    while code:
-        bit = (code & np.uint64(1)) != 0
-        if bit != is_open:
-            if run < (limits.min_open if is_open else limits.min_closed) and (is_open or pulses > 0):
-                return False
-            pulses += bit
-            is_open, run = bit, 0
-        run += 1
-        code >>= np.uint64(1)
-    return pulses <= limits.max_pulses and run >= limits.min_open
 
 
 @compiled
@@ -228,7 +203,7 @@ def scan(
     words, frequencies = left.size, first_cell.size
     side, top, zero = np.int32(grid), np.int32(grid - 1), np.int32(0)
     number, room = 0, found.size - near.bits.size * inner_bits.size
-    free_runs = limits.min_open == 1 and limits.min_closed == 1 and limits.max_pulses >= 64
+    unlimited = free_runs(limits)
     near_sums, near_opened, near_bits = near.sums, near.opened, near.bits
     most_near, start = near_at.size - 2, span[2]
     for i in range(span[0], span[1]):
@@ -275,7 +250,7 @@ def scan(
                         code = outer | inner_bits[64 * word + _ones((rest & (~rest + np.uint64(1))) - np.uint64(1))]
                         rest &= rest - np.uint64(1)
                         counts[1] += 1
-                        if not free_runs and not _keeps_runs(code, limits):
+                        if not unlimited and not keeps_runs(code, limits):
                             continue
                         counts[2] += 1
                         if _reaches(code, dense, limit2):

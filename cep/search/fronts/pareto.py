@@ -23,7 +23,7 @@ from cep.baselines.published import for_chips
 from cep.code import ShutterCode
 from cep.search.annealing.anneal import COOLING, MOST_SWAPS, REHEATED, hottest_db
 from cep.search.annealing.chains import Cooling, Crew, Walks
-from cep.search.annealing.tables import has_run_limits, lay_out
+from cep.search.annealing.tables import lay_out
 from cep.search.annealing.terms import Tables
 from cep.search.fronts.archive import EQUAL_DB, Archive, Judge
 from cep.search.fronts.front import Front, FrontPoint, knees, non_dominated
@@ -217,7 +217,7 @@ class _Search:
         starts = np.concatenate([good, drawn])
         tables, hot = self._tables_of(share)
         seeds = [int(seed) for seed in self.rng.integers(1, 2**62, _CHAINS)]
-        walks = 0 if has_run_limits(archive.problem) or self.problem.chips**2 // 4 > MOST_SWAPS else _CHAINS // 2
+        walks = 0 if archive.problem.limits_runs or self.problem.chips**2 // 4 > MOST_SWAPS else _CHAINS // 2
         plans: list[Cooling | Walks] = [
             Cooling(code, hot * (REHEATED if place < len(good) else 1), hot / COOLING, moves, seed)
             for place, (code, seed) in enumerate(zip(starts, seeds[walks:], strict=False))

@@ -1,0 +1,101 @@
+"""``cep bench cep``: every way to choose a shutter code, side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cep.cli.bench_options import Cache, Dask, Data, Quick, Workers, finish_bench, spelled
+from cep.cli.console import progress
+from cep.cli.options import Force, Json
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from cep.bench.coded.protocol import CodedProtocol
+
+__all__ = ["cep"]
+
+
+def cep(
+    data: Data = None,
+    protocol: Annotated[
+        str, typer.Option("--protocol", help="paper, ours, or a .toml file like cep/bench/coded/ours.toml.")
+    ] = "paper",
+    designs: Annotated[
+        str, typer.Option("--designs", help="Ways to choose the code, as open,dnf,both-ways; all when omitted.")
+    ] = "",
+    quick: Quick = False,
+    workers: Workers = None,
+    dask: Dask = None,
+    cache: Cache = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write into.")] = Path("bench-cep"),
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Compare codes by the photos they give: the paper's table III, and ours with real borders, light and directions.
+
+    Every row takes the same sharp photos along the same motions, and every search has the same budget. Finished cells
+    are kept: stopped by Ctrl-C, the same command goes on.
+
+    Example: cep bench cep --quick --protocol ours -o coded
+    """
+    from cep.bench.coded.designs import DESIGNS
+    from cep.bench.coded.protocol import coded_protocol
+    from cep.bench.coded.report import OUTPUTS, write_coded_report
+    from cep.bench.coded.run import measure_coded
+    from cep.bench.coded.tables import coded_tables
+    from cep.bench.machine import machine
+    from cep.outputs import claim_folder
+
+    claim_folder(output, OUTPUTS, force=force)
+    chosen = coded_protocol(protocol)
+    chosen = chosen.quick if quick else chosen
+    names = [name.strip() for name in designs.split(",")] if designs else list(DESIGNS)
+    scenes, warnings = _scenes(data, chosen)
+    with progress("measuring") as tick:
+        measured = measure_coded(
+            chosen, scenes, cache=cache or output / "cells", designs=names,
+            workers=workers or machine()["cores"] or 1, dask=dask, progress=tick,
+        )  # fmt: skip
+    warnings += list(measured.warnings)
+    if measured.failures:
+        name, reason = next(iter(measured.failures.items()))
+        warnings.append(f"{len(measured.failures)} cells failed, the first: {name}: {reason}")
+    if measured.missing:
+        warnings.append("stopped early: cells are left out; the same command with --force goes on")
+    tables = coded_tables(measured)
+    given = {"--data": data and data.resolve().name, "--protocol": Path(protocol).name, "--designs": designs}
+    command = spelled("cep", given, quick=quick)
+    files = write_coded_report(output, tables, measured, command=command, warnings=warnings, force=force)
+    about = {"folder": output, "protocol": chosen.name, "designs": names}
+    finish_bench(
+        about, tables, files, failures=measured.failures, missing=measured.missing, warnings=warnings, as_json=as_json
+    )
+
+
+def _scenes(data: Path | None, protocol: CodedProtocol) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
+    """Cut the sharp scenes, larger than the photo where borders are real."""
+    import numpy
+
+    from cep.bench.coded.run import MARGIN_PX
+    from cep.bench.photos import bundled_photos, crop, photo_folder, pick
+    from motdiff.crops import luminance
+
+    least = protocol.crop_px + (MARGIN_PX if protocol.borders == "real" else 0)
+    paths = bundled_photos() if data is None else photo_folder(data)
+    picked = pick(paths, protocol.photos, least_px=least)
+    warnings = []
+    if data is None:
+        warnings.append("photos are those of scikit-image: too few and too odd for a claim, name a folder with --data")
+    if len(picked) < protocol.photos:
+        warnings.append(f"{len(picked)} photos are large enough, the protocol asks for {protocol.photos}")
+    gamma = "srgb" if protocol.photons else "linear"  # the paper takes code values for light
+    scenes = {}
+    for index, path in enumerate(picked):
+        rng = numpy.random.default_rng([protocol.seed, 5, index])
+        scenes[f"{index}-{path.stem}"] = luminance(crop(path, least, rng, gamma=gamma))
+    return scenes, warnings

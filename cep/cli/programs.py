@@ -1,0 +1,66 @@
+"""What the hardware commands share: options, and a code as the timed program a device is asked to play."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cep.cli.options import load_code
+
+if TYPE_CHECKING:
+    from hw.device import DeviceProfile
+    from hw.program import Program
+
+__all__ = ["ClockPpm", "Device", "LeaseMs", "Port", "load_program", "program_figures"]
+
+Port = Annotated[
+    str,
+    typer.Option(
+        "--port", "-p", help="Serial port of the controller, as /dev/ttyACM0 or COM3; its USB serial number; or auto."
+    ),
+]
+LeaseMs = Annotated[
+    int, typer.Option("--lease-ms", min=1, max=65535, help="An armed controller disarms itself after this, ms.")
+]
+ClockPpm = Annotated[
+    float, typer.Option("--clock-ppm", help="The controller's clock is this fast, as cep hw calibrate found.")
+]
+Device = Annotated[
+    str | None, typer.Option("--device", help="Check against this profile: a built-in name or a .toml file.")
+]
+
+
+def load_program(source: str, *, chip_ns: int | None, device: str | None) -> tuple[Program, DeviceProfile | None]:
+    """Return the program of a code, and the profile of ``--device``.
+
+    Raises
+    ------
+    ValueError
+        If the device cannot play the program: the line lists every limit it breaks.
+    """
+    from hw.device import load_profile
+    from hw.program import Program
+
+    code = load_code(source, chip_ns=chip_ns).code
+    program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
+    if device is None:
+        return program, None
+    profile = load_profile(device)
+    problems = profile.check(program)
+    if problems:
+        raise ValueError("the program cannot be played: " + "; ".join(problems))
+    return program, profile
+
+
+def program_figures(program: Program, profile: DeviceProfile | None) -> dict[str, object]:
+    """Return what every hardware command's JSON says of a program that was checked."""
+    return {
+        "chips": program.chips,
+        "chip_ns": program.chip_ns,
+        "runs": program.runs,
+        "edges": program.edges,
+        "duration_ns": program.duration_ns,
+        "checks": {"device": profile.name if profile else None, "problems": []},
+        "code_crc32": f"0x{program.code_crc32:08x}",
+    }

@@ -1,0 +1,133 @@
+"""``cep hw verify``: what the controller holds, and what the shutter played, against what was asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cep.cli.console import FAILURE, complain, finish, table
+from cep.cli.options import ChipNs, CodeSource, Force, Json, Linear, TrajectoryFile, load_motion
+from cep.cli.programs import ClockPpm, load_program, program_figures
+
+if TYPE_CHECKING:
+    from hw.program import Program
+    from hw.recordings.playback import Verification
+
+__all__ = ["verify"]
+
+
+def verify(
+    code: CodeSource,
+    port: Annotated[str | None, typer.Option("--port", "-p", help="Read it back from the controller there.")] = None,
+    vcd: Annotated[Path | None, typer.Option("--vcd", help="Compare a logic analyser's recording.")] = None,
+    signal: Annotated[
+        str | None, typer.Option("--signal", help="Shutter's signal in the recording; the busiest one without.")
+    ] = None,
+    trigger: Annotated[str | None, typer.Option("--trigger", help="Trigger's signal in the recording.")] = None,
+    trajectory: TrajectoryFile = None,
+    linear: Linear = None,
+    chip_ns: ChipNs = None,
+    clock_ppm: ClockPpm = 0.0,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Write the code as played; beside it its PSF, with a trajectory."),
+    ] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Compare a code with what the controller holds (--port), or with what its shutter really played (--vcd).
+
+    A recording gives each play's chips, clock error and jitter, and with a motion the PSF as achieved, which cep deblur
+    takes. Exit code 1 when anything differs.
+
+    Example: cep hw verify code.json --vcd capture.vcd --trajectory trajectory.json -o played.json
+    """
+    if (port is None) == (vcd is None):
+        raise ValueError("--port PORT or --vcd FILE: exactly one of them is needed")
+    program, _ = load_program(code, chip_ns=chip_ns, device=None)
+    if port is not None:
+        _held(program, port, clock_ppm=clock_ppm, as_json=as_json)
+        return
+    assert vcd is not None
+    from hw.recordings.capture import read_vcd
+    from hw.recordings.playback import align
+
+    motion = None if trajectory is None and linear is None else load_motion(trajectory, linear).trajectory
+    _claim(output, with_psf=motion is not None, force=force)
+    recording = read_vcd(vcd)
+    trace = recording.trace(signal)
+    plays = align(trace, program, trigger=recording.trace(trigger) if trigger else None)
+    written: list[Path] = []
+    if output is not None:
+        written = _write(output, plays[0], program, motion)
+    wrong = [(index, play) for index, play in enumerate(plays, start=1) if play.problems or not play.same_bits]
+    result = {
+        "file": vcd, "signal": trace.name, **program_figures(program, None), "played": not wrong,
+        "plays": [_figures(play) for play in plays], "files": written,
+    }  # fmt: skip
+    finish(result, as_json=as_json, show=lambda console: console.print(
+        table(f"{vcd}, {trace.name}", ("play", "clock, ppm", "jitter, ns", "worst edge, ns", "same bits"), [
+            (f"{index} at {play.start_ns / 1e6:.4f} ms", -play.scale_ppm, play.jitter_ns, play.worst_ns,
+             "yes" if play.same_bits else "no") for index, play in enumerate(plays, start=1)
+        ])
+    ))  # fmt: skip
+    if wrong:
+        index, play = wrong[0]
+        others = f" ({len(wrong)} of {len(plays)} plays differ)" if len(plays) > 1 else ""
+        complain(f"play {index}: {play.verdict}{others}")
+        raise typer.Exit(FAILURE)
+
+
+def _held(program: Program, port: str, *, clock_ppm: float, as_json: bool) -> None:
+    from hw.drivers.cxp import PROVEN_FIRMWARE
+    from hw.drivers.finding import open_controller
+    from hw.drivers.report import Trust
+
+    with open_controller(port) as controller:
+        controller.verify(program, clock_ppm=clock_ppm)
+        firmware = controller.announced.firmware
+    trust = Trust.A if firmware in PROVEN_FIRMWARE else Trust.B
+    result = {
+        "port": port, "firmware": firmware, **program_figures(program, None), "read_back": True, "trust": trust.value,
+    }  # fmt: skip
+    finish(result, as_json=as_json, show=lambda console: console.print(
+        f"{port}: holds this code, {program.chips} chips of {program.chip_ns} ns, bit for bit, trust {trust}"
+    ))  # fmt: skip
+
+
+def _psf_stem(output: Path) -> str:
+    return f"{output.stem}_psf"
+
+
+def _claim(output: Path | None, *, with_psf: bool, force: bool) -> None:
+    from cep.files import PSF_SUFFIXES
+    from cep.outputs import claim
+
+    if output is None:
+        return
+    beside = [output.with_name(_psf_stem(output) + suffix) for suffix in PSF_SUFFIXES] if with_psf else []
+    claim([output, *beside], force=force)
+
+
+def _write(output: Path, play: Verification, program: Program, motion: Any) -> list[Path]:
+    from cep.achieved import achieved_code, achieved_psf
+    from cep.files import StoredCode, write_code, write_psf
+
+    code = achieved_code(play, chip_ns=program.chip_ns)
+    psf = None
+    if motion is not None:
+        size = max(64, 2 * motion.frame_size())  # a slow clock goes on beyond the motion that was asked for
+        psf = achieved_psf(motion, play, chip_ns=program.chip_ns, size=size)
+    write_code(output, StoredCode(code, problem={"played": play.verdict}))
+    return [output] if psf is None else [output, *write_psf(output.parent, psf, stem=_psf_stem(output))]
+
+
+def _figures(play: Verification) -> dict[str, object]:
+    return {
+        "bits": play.achieved, "same_bits": play.same_bits, "start_ns": play.start_ns, "clock_ppm": -play.scale_ppm,
+        "jitter_ns": play.jitter_ns, "worst_ns": play.worst_ns, "widening_ns": play.widening_ns,
+        "latency_ns": play.latency_ns, "missing": play.missing, "extra": play.extra, "inverted": play.inverted,
+        "verdict": play.verdict, "problems": play.problems,
+    }  # fmt: skip

@@ -1,0 +1,120 @@
+"""A controller's clock measured against the host's: ceramic resonators are off by thousands of parts per million."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from hw.drivers.cxp import Controller, VerifyError
+
+__all__ = ["ClockFit", "fit_clock", "measure_clock"]
+
+_WRAP_US = 2**32
+_LEAST = 8
+_IN_A_ROW = 4
+_LARGEST_PPM = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class ClockFit:
+    """By how much a device's clock is fast.
+
+    Parameters
+    ----------
+    ppm : float
+        Parts per million; negative when it is slow and plays everything too long.
+    uncertainty_ppm : float
+        Two standard errors of the fit. The host's own clock, good to some 20 ppm, is taken as right.
+    seconds : float
+        Time between the first and the last reading.
+    samples : int
+        Readings used.
+    """
+
+    ppm: float
+    uncertainty_ppm: float
+    seconds: float
+    samples: int
+
+
+def fit_clock(readings: Sequence[tuple[float, float, int]]) -> ClockFit:
+    """Fit a line to readings of a device's clock.
+
+    Each reading happened somewhere between the request and its reply; the quickest of every four in a row is used, at
+    the middle, since what is always the same in the delay moves the line without tilting it. (The quickest quarter of
+    all would do as well where delays vary, but where they are even it may come from a short part of the time.)
+
+    Parameters
+    ----------
+    readings : sequence of (sent_s, received_s, device_us)
+        Host times, and the device's clock, which wraps at 2^32 us.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than 8 readings, or the device's clock does not go on with the host's (a restart).
+    """
+    if len(readings) < _LEAST:
+        raise ValueError(f"readings are {len(readings)}: at least {_LEAST} are needed to fit a clock")
+    start_s, _, start_us = readings[0]
+    points: list[tuple[float, float, float]] = []  # delay, host s, device s less host s (small: it keeps its digits)
+    device_us, previous = 0, start_us
+    for sent_s, received_s, now_us in readings:
+        device_us += (now_us - previous) % _WRAP_US
+        previous = now_us
+        host_s = 0.5 * (sent_s + received_s) - start_s
+        drift_s = device_us * 1e-6 - host_s
+        if abs(drift_s) > _LARGEST_PPM * 1e-6 * host_s + 0.5:
+            raise ValueError("the device's clock jumped: it was restarted meanwhile, or is no clock; measure again")
+        points.append((received_s - sent_s, host_s, drift_s))
+    row = max(1, min(_IN_A_ROW, len(points) // _LEAST))
+    quick = [min(points[k : k + row]) for k in range(0, len(points) - row + 1, row)]
+    count = len(quick)
+    mean_t = math.fsum(t for _, t, _ in quick) / count
+    mean_d = math.fsum(d for _, _, d in quick) / count
+    spread = math.fsum((t - mean_t) ** 2 for _, t, _ in quick)
+    if not spread:
+        raise ValueError("readings are all of one moment: measure for longer")
+    slope = math.fsum((t - mean_t) * (d - mean_d) for _, t, d in quick) / spread
+    rest = math.fsum((d - mean_d - slope * (t - mean_t)) ** 2 for _, t, d in quick)
+    error = math.sqrt(rest / (count - 2) / spread)
+    return ClockFit(1e6 * slope, 2e6 * error, quick[-1][1] - quick[0][1], count)
+
+
+def measure_clock(
+    controller: Controller, *, seconds: float = 10.0, progress: Callable[[float], None] | None = None
+) -> ClockFit:
+    """Read a controller's clock again and again, and fit it against the host's.
+
+    Parameters
+    ----------
+    controller : Controller
+    seconds : float
+        How long; the error falls with its power of 1.5.
+    progress : callable, optional
+        Told the fraction done, 0..1.
+
+    Raises
+    ------
+    ValueError
+        If `seconds` is not above 0.
+    VerifyError
+        If the device was restarted meanwhile.
+    """
+    if not 0 < seconds < 3600:
+        raise ValueError(f"seconds is {seconds}: above 0 and below 3600 are needed; 10 are plenty")
+    readings: list[tuple[float, float, int]] = []
+    start = time.monotonic()
+    while (sent := time.monotonic()) < start + seconds or len(readings) < _LEAST:
+        retries = controller.link.retries
+        uptime_us = controller.status().uptime_us
+        if controller.link.retries == retries:  # a retry hides when the clock was read
+            readings.append((sent, time.monotonic(), uptime_us))
+        if progress is not None:
+            progress(min(1.0, (time.monotonic() - start) / seconds))
+    try:
+        return fit_clock(readings)
+    except ValueError as error:
+        raise VerifyError(f"{controller.link.name}: {error}") from None

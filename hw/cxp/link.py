@@ -1,0 +1,229 @@
+"""CXP1 over a serial port: frames out, replies in, retries, and a shutter that is closed when anything fails."""
+
+from __future__ import annotations
+
+import atexit
+import time
+from types import TracebackType
+from typing import Self
+
+from hw.cxp.framing import BINARY, TEXT, FrameError, Framing
+from hw.cxp.protocol import Hello, Op, Reply, op_name, parse_reply, request_body, unpack_hello
+from hw.errors import DeviceError, device_error
+from hw.port import LinkError, OpenPort, PortError, SerialPort, open_port
+
+__all__ = ["Link", "open_link"]
+
+_LONGEST_FRAME = 20_000  # 65535 chips in hexadecimal digits
+_FRAMINGS = (BINARY, TEXT)
+_CHANGES = frozenset({Op.LOAD, Op.ARM, Op.TRIG})
+
+
+class Link:
+    """Requests and replies on an open port.
+
+    As a context manager it sends ABORT when left by an exception after it has loaded, armed or triggered anything: what
+    another program has armed is left alone. Left normally it leaves an armed device armed (its lease ends that). A link
+    still open when the interpreter ends does as by an exception.
+
+    Parameters
+    ----------
+    port : SerialPort
+        Open port, owned by the link from now on.
+    name : str
+        Name of the port, for messages.
+    timeout_s : float
+        How long to wait for a reply before the same frame is sent again. On USB converters a reply may take 16 ms
+        longer than the line needs, so keep it at 0.1 s or more there.
+    attempts : int
+        How often one frame is sent at most.
+    """
+
+    def __init__(self, port: SerialPort, *, name: str, timeout_s: float = 0.15, attempts: int = 12) -> None:
+        if not timeout_s > 0 or attempts < 1:
+            raise ValueError(f"timeout_s is {timeout_s} and attempts is {attempts}: above 0 and at least 1 are needed")
+        self.name = name
+        self.framing = BINARY
+        self.timeout_s = timeout_s
+        self.attempts = attempts
+        self.retries = 0
+        self.bad_frames = 0
+        self.received_bytes = 0
+        self._port = OpenPort(port, name=name)
+        self._answerable = False
+        self._seq = 0
+        self._rest = b""
+        atexit.register(self._leave)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is still open on our side."""
+        return self._port.is_open
+
+    def request(self, op: int, payload: bytes = b"", *, attempts: int | None = None) -> bytes:
+        """Send one request until its reply comes, and return the reply's data.
+
+        The very same frame is sent each time, so that the device can tell a retry from a second request.
+
+        Raises
+        ------
+        DeviceError
+            The subclass for the error the device answered.
+        LinkError
+            If no reply came, or the port failed.
+        """
+        self._seq = (self._seq + 1) % 256
+        before, self._answerable = self._answerable, self._answerable or op in _CHANGES
+        for attempt in range(self.attempts if attempts is None else attempts):
+            self.retries += attempt > 0
+            reply = self._ask(op, payload, self.framing, flush=attempt > 0)
+            if reply is not None:
+                if reply.error:
+                    self._answerable = before  # refused: whatever the device does, it is not our doing
+                elif op == Op.ABORT:
+                    self._answerable = False
+                return self._data(reply)
+        raise LinkError(
+            f"{self.name} does not answer {op_name(op)}, asked {attempts or self.attempts} times: "
+            "check cable, power and firmware"
+        )
+
+    def hello(self, *, hello_s: float = 3.0) -> Hello:
+        """Ask the device who it is, for `hello_s` seconds: a board that resets on opening is deaf for a while.
+
+        Both framings are tried in turn, and the one that is answered is kept.
+
+        Raises
+        ------
+        PortError
+            If nothing answers, garbage comes, or it is not a CXP1 device.
+        LinkError
+            If the port fails.
+        """
+        received = self.received_bytes
+        self._seq = (self._seq + 1) % 256
+        try:
+            for attempt in range(max(2, round(hello_s / self.timeout_s))):
+                self.retries += attempt > 1
+                framing = _FRAMINGS[(_FRAMINGS.index(self.framing) + attempt) % 2]
+                reply = self._ask(Op.HELLO, b"", framing, flush=True)
+                if reply is not None:
+                    self.framing = framing
+                    return unpack_hello(self._data(reply))
+        except (FrameError, DeviceError) as error:
+            raise PortError(f"{self.name} is not a CXP1 shutter controller: {error}") from None
+        heard = self.received_bytes - received
+        if heard:
+            raise PortError(
+                f"{self.name} sends {heard} bytes but no CXP1 reply: wrong baud rate, or not a shutter controller"
+            )
+        raise PortError(f"{self.name} is silent for {hello_s:g} s: check power and firmware, or name another port")
+
+    def abort(self) -> bool:
+        """Close the shutter and disarm, never raising; False when the device did not acknowledge it."""
+        if not self._port.is_open:
+            return False
+        try:
+            self.request(Op.ABORT)
+        except (LinkError, DeviceError):
+            return False
+        return True
+
+    def close(self) -> None:
+        """Close the port without a word to the device; may be called again."""
+        atexit.unregister(self._leave)
+        self._port.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None and self._answerable:
+            self.abort_after(error)
+        self.close()
+
+    def abort_after(self, error: BaseException) -> None:
+        """Send ABORT because of `error`, and note on it when the device did not acknowledge."""
+        note = f"{self.name} did not acknowledge ABORT: look whether the shutter is closed"
+        if not self.abort() and note not in getattr(error, "__notes__", ()):
+            error.add_note(note)
+
+    def _leave(self) -> None:
+        if self._answerable:
+            self.abort()
+        self.close()
+
+    def _ask(self, op: int, payload: bytes, framing: Framing, *, flush: bool) -> Reply | None:
+        frame = framing.encode(request_body(op, self._seq, payload))
+        # The end in front closes what noise has left half-received in the device, so that a retry is not lost too.
+        self._port.write(framing.end + frame if flush else frame)
+        deadline = time.monotonic() + self.timeout_s
+        while True:
+            frames, self._rest = framing.split(self._rest + self._read())
+            self._rest = self._rest[-_LONGEST_FRAME:]
+            for index, received in enumerate(frames):
+                try:
+                    reply = parse_reply(framing.decode(received))
+                except FrameError:
+                    self.bad_frames += 1
+                    continue
+                if (reply.op, reply.seq) == (op, self._seq):
+                    self._rest = b"".join(later + framing.end for later in frames[index + 1 :]) + self._rest
+                    return reply
+            if time.monotonic() >= deadline:
+                return None
+
+    def _data(self, reply: Reply) -> bytes:
+        if reply.error:
+            raise device_error(reply.error, request=op_name(reply.op), source=self.name)
+        return reply.data
+
+    def _read(self) -> bytes:
+        data = self._port.read()
+        self.received_bytes += len(data)
+        return data
+
+
+def open_link(
+    port: str, *, baud: int = 115200, timeout_s: float = 0.15, attempts: int = 12, hello_s: float = 3.0
+) -> tuple[Link, Hello]:
+    """Open a port and greet the device on it.
+
+    Parameters
+    ----------
+    port : str
+        Name of a serial port, as ``/dev/ttyUSB0`` or ``COM3``.
+    baud : int
+        Line rate; CXP1 devices use 115200.
+    timeout_s, attempts
+        As `Link`.
+    hello_s : float
+        How long to greet before giving up.
+
+    Returns
+    -------
+    link : Link
+        The open link; close it, or use it as a context manager.
+    hello : Hello
+        What the device said of itself.
+
+    Raises
+    ------
+    PortError
+        If the port cannot be opened, or no CXP1 device answers on it.
+    LinkError
+        If the device disappears while it is greeted.
+    """
+    opened = open_port(port, baud=baud)
+    try:
+        link = Link(opened, name=port, timeout_s=timeout_s, attempts=attempts)
+    except ValueError:
+        opened.close()
+        raise
+    try:
+        return link, link.hello(hello_s=hello_s)
+    except BaseException:
+        link.close()
+        raise

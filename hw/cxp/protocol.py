@@ -1,0 +1,217 @@
+"""CXP1, the shutter controller's protocol: requests, replies and their payloads as pure functions on bytes.
+
+``docs/cxp1.md`` is its definition. Bodies are ``op, seq, payload...`` and ``op | 0x80, seq, error, data...``; numbers
+are little endian; :mod:`hw.cxp.framing` puts bodies on a line, :mod:`hw.cxp.stored` is the program in a device's ticks.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+from hw.cxp.framing import FrameError
+
+__all__ = [
+    "Hello",
+    "Op",
+    "Reply",
+    "ResetCause",
+    "State",
+    "Status",
+    "op_name",
+    "pack_arm",
+    "parse_reply",
+    "request_body",
+    "unpack_crc",
+    "unpack_hello",
+    "unpack_status",
+]
+
+_REPLY = 0x80
+_MAGIC = b"CXP1"
+_HELLO = struct.Struct("<4sBBHHIIIHIB")
+_STATUS = struct.Struct("<BHHBBII")
+_FRACTIONS, _TRIGGER_INPUT = 1, 2
+
+
+class Op(IntEnum):
+    """Requests."""
+
+    HELLO = 1
+    LOAD = 2
+    READ = 3
+    ARM = 4
+    TRIG = 5
+    ABORT = 6
+    STATUS = 7
+
+
+class State(IntEnum):
+    """States of the player; the shutter can be open in PLAY only."""
+
+    IDLE = 0
+    LOADED = 1
+    ARMED = 2
+    PLAY = 3
+    DONE = 4
+    FAULT = 5
+
+
+class ResetCause(IntEnum):
+    """Why the device started last."""
+
+    POWER = 0
+    RESET_LINE = 1
+    BROWN_OUT = 2
+    WATCHDOG = 3
+    UNKNOWN = 255
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """A parsed reply: the request's `op` and `seq`, the `error` byte (0 is success) and its `data`."""
+
+    op: int
+    seq: int
+    error: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hello:
+    """What a device says of itself; times in its ticks where so named, and None for no limit.
+
+    Parameters
+    ----------
+    version : int
+        Protocol version.
+    fractions, trigger_input : bool
+        Whether a chip may last a fraction of a tick, and whether there is a trigger input.
+    max_chips, tick_ns, min_ticks, max_ticks : int
+        Longest code, clock tick, and range of the chip time.
+    max_on_ticks : int or None
+        Longest opening.
+    max_duty : float or None
+        Largest open fraction of a program.
+    lead_ns : int
+        Time from a trigger to the first chip.
+    reset_cause : ResetCause
+    firmware : str
+        Name and version.
+    """
+
+    version: int
+    fractions: bool
+    trigger_input: bool
+    max_chips: int
+    tick_ns: int
+    min_ticks: int
+    max_ticks: int
+    max_on_ticks: int | None
+    max_duty: float | None
+    lead_ns: int
+    reset_cause: ResetCause
+    firmware: str
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """State of the player: chips begun, plays ended, edges missed, bad frames, time since boot, program's CRC-32."""
+
+    state: State
+    pos: int
+    runs: int
+    late: int
+    bad_frames: int
+    uptime_us: int
+    stored_crc32: int
+
+
+def request_body(op: int, seq: int, payload: bytes = b"") -> bytes:
+    """Make the body of a request."""
+    return bytes([op, seq]) + payload
+
+
+def parse_reply(body: bytes) -> Reply:
+    """Parse the body of a reply.
+
+    Raises
+    ------
+    FrameError
+        If it is too short, or no reply.
+    """
+    if len(body) < 3:
+        raise FrameError(f"frame has a body of {len(body)} bytes: a reply has at least 3")
+    if not body[0] & _REPLY:
+        raise FrameError(f"frame with op 0x{body[0]:02x} is not a reply")
+    return Reply(body[0] & ~_REPLY, body[1], body[2], body[3:])
+
+
+def op_name(op: int) -> str:
+    """Name of a request, or its number."""
+    return Op(op).name if op in Op._value2member_map_ else f"op {op}"
+
+
+def unpack_crc(data: bytes) -> int:
+    """Parse the data of LOAD's reply: the CRC-32 of what the device stores.
+
+    Raises
+    ------
+    FrameError
+        If it is not four bytes.
+    """
+    if len(data) != 4:
+        raise FrameError(f"LOAD reply has {len(data)} bytes: 4 are needed")
+    return int.from_bytes(data, "little")
+
+
+def pack_arm(lease_ms: int) -> bytes:
+    """Payload of ARM: after `lease_ms` (1..65535) without a trigger the device disarms itself."""
+    if isinstance(lease_ms, bool) or not isinstance(lease_ms, int) or not 1 <= lease_ms <= 0xFFFF:
+        raise ValueError(f"lease_ms is {lease_ms!r}: a whole number 1..65535 is needed")
+    return struct.pack("<H", lease_ms)
+
+
+def unpack_hello(data: bytes) -> Hello:
+    """Parse the data of HELLO.
+
+    Raises
+    ------
+    FrameError
+        If it is not CXP1 version 1 or announces nothing that can be played.
+    """
+    if data[:4] != _MAGIC:
+        raise FrameError(f"HELLO reply begins with {data[:4]!r}: {_MAGIC!r} is needed")
+    if len(data) > 4 and data[4] != 1:
+        raise FrameError(f"HELLO reply has protocol version {data[4]}: version 1 is needed")
+    if len(data) < _HELLO.size:
+        raise FrameError(f"HELLO reply has {len(data)} bytes: at least {_HELLO.size} are needed")
+    _, version, flags, chips, tick_ns, least, most, on, duty, lead_ns, cause = _HELLO.unpack_from(data)
+    if not chips or not tick_ns or not 1 <= least <= most:
+        raise FrameError(
+            f"HELLO reply has {chips} chips of {least}..{most} ticks of {tick_ns} ns: all must be at least 1, in order"
+        )
+    return Hello(
+        version=version, fractions=bool(flags & _FRACTIONS), trigger_input=bool(flags & _TRIGGER_INPUT),
+        max_chips=chips, tick_ns=tick_ns, min_ticks=least, max_ticks=most,
+        max_on_ticks=on or None, max_duty=duty / 1000 if 0 < duty < 1000 else None, lead_ns=lead_ns,
+        reset_cause=ResetCause(cause) if cause in ResetCause._value2member_map_ else ResetCause.UNKNOWN,
+        firmware=data[_HELLO.size :].decode("ascii", "replace").split("\0")[0],
+    )  # fmt: skip
+
+
+def unpack_status(data: bytes) -> Status:
+    """Parse the data of STATUS.
+
+    Raises
+    ------
+    FrameError
+        If it is too short or the state is unknown.
+    """
+    if len(data) < _STATUS.size:
+        raise FrameError(f"STATUS reply has {len(data)} bytes: {_STATUS.size} are needed")
+    state, *rest = _STATUS.unpack_from(data)
+    if state not in State._value2member_map_:
+        raise FrameError(f"STATUS reply has state {state}: 0..{max(State)} are known")
+    return Status(State(state), *rest)

@@ -1,0 +1,231 @@
+"""What drivers share whose devices acknowledge a program but tell neither what they hold nor what they do."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Self
+
+from hw.device import DeviceProfile
+from hw.drivers.report import Trust, UploadReport
+from hw.errors import WrongStateError
+from hw.program import Program
+
+__all__ = ["BlindDevice"]
+
+_MARGIN_S = 0.01  # from the command to the first edge
+
+
+class BlindDevice(ABC):
+    """Base of the drivers of devices that cannot be asked: their trust is B.
+
+    What was uploaded and how long a play lasts is known from here only, hence nothing is triggered that was not
+    uploaded here, and nothing twice at a time. As a context manager it aborts when left by an exception; left normally
+    it leaves an armed device armed. One that is still open when the interpreter ends aborts too.
+
+    Parameters
+    ----------
+    name : str
+        Name of the port or resource, for messages.
+    """
+
+    def __init__(self, *, name: str) -> None:
+        self.name = name
+        self._program: Program | None = None
+        self._over_s = 0.0
+        atexit.register(self._leave)
+
+    @property
+    @abstractmethod
+    def firmware(self) -> str:
+        """What the device says it runs."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know of this device, one sentence each."""
+        return ()
+
+    @abstractmethod
+    def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
+        """List what keeps the program from being played: by the device itself, and by the limits of `profile`."""
+
+    def upload(self, program: Program, *, profile: DeviceProfile | None = None, arm: bool = False) -> UploadReport:
+        """Check a program, abort what is going on, store the program, and arm if wanted.
+
+        Parameters
+        ----------
+        program : Program
+            What to play.
+        profile : DeviceProfile, optional
+            Limits of the shutter, and the level at which it is closed.
+        arm : bool
+            Arm when all went well.
+
+        Returns
+        -------
+        UploadReport
+            What is now known.
+
+        Raises
+        ------
+        ValueError
+            If a limit is broken; the message lists all of them and nothing was sent.
+        DeviceError, LinkError
+            If the device refuses, or stops answering; it was told to abort.
+        """
+        problems = self.check(program, profile=profile)
+        if problems:
+            raise ValueError("program cannot be played: " + "; ".join(problems))
+        begin_s, retries = time.monotonic(), self._retries
+        self._program = None
+        with self._aborted_on_error():
+            self.abort()
+            self._load(program, profile=profile or DeviceProfile(name="generic"))
+        self._program = program
+        if arm:
+            self.arm()
+        return UploadReport(
+            port=self.name,
+            chips=program.chips,
+            chip_ns=program.chip_ns,
+            pulses=program.pulses,
+            duration_ns=program.duration_ns,
+            code_crc32=program.code_crc32,
+            trust=Trust.B,
+            read_back=False,
+            firmware=self.firmware,
+            armed=arm,
+            lease_ms=None,
+            retries=self._retries - retries,
+            seconds=time.monotonic() - begin_s,
+            warnings=self.warnings,
+        )
+
+    def arm(self) -> None:
+        """Let each rising edge of the trigger input play the program, until `abort`: these devices know no lease.
+
+        Raises
+        ------
+        WrongStateError
+            If no program was uploaded here.
+        DeviceError, LinkError
+            If the device refuses, or stops answering; it was told to abort.
+        """
+        self._loaded("arm")
+        with self._aborted_on_error():
+            self._arm()
+
+    def trigger(self) -> None:
+        """Play the program once, now; nothing says that the device did.
+
+        Raises
+        ------
+        WrongStateError
+            If no program was uploaded here, or one that was triggered here is still playing.
+        DeviceError, LinkError
+            If the device refuses, or is gone; it was told to abort.
+        """
+        program = self._loaded("trigger")
+        left_s = self._over_s - time.monotonic()
+        if left_s > 0:
+            raise WrongStateError(f"{self.name} still plays for {left_s:.3g} s: wait before the next trigger")
+        with self._aborted_on_error():
+            self._trigger()
+        self._over_s = time.monotonic() + self._lasts_ns(program) / 1e9 + _MARGIN_S
+
+    def wait(self) -> None:
+        """Sleep until a program triggered by `trigger` must be over."""
+        time.sleep(max(0.0, self._over_s - time.monotonic()))
+
+    def play(self) -> None:
+        """Play the program once, now, and wait until it must be over; one that was not armed is not left armed.
+
+        Raises
+        ------
+        WrongStateError, DeviceError, LinkError
+            As `trigger`.
+        """
+        self.trigger()
+        self.wait()
+
+    def abort(self) -> None:
+        """Close the shutter and disarm.
+
+        Raises
+        ------
+        LinkError
+            If the device does not acknowledge.
+        """
+        self._abort()
+        self._over_s = 0.0
+
+    def close(self) -> None:
+        """Close the connection without a word to the device; may be called again."""
+        atexit.unregister(self._leave)
+        self._disconnect()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            self._abort_after(error)
+        self.close()
+
+    @property
+    def _retries(self) -> int:
+        return 0
+
+    def _lasts_ns(self, program: Program) -> int:
+        return program.duration_ns
+
+    @abstractmethod
+    def _load(self, program: Program, *, profile: DeviceProfile) -> None: ...
+
+    @abstractmethod
+    def _arm(self) -> None: ...
+
+    @abstractmethod
+    def _trigger(self) -> None: ...
+
+    @abstractmethod
+    def _abort(self) -> None: ...
+
+    @abstractmethod
+    def _disconnect(self) -> None: ...
+
+    def _loaded(self, request: str) -> Program:
+        if self._program is None:
+            raise WrongStateError(f"{self.name} holds no program that was uploaded here: upload before {request}")
+        return self._program
+
+    @contextlib.contextmanager
+    def _aborted_on_error(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException as error:
+            self._program = None  # it may hold half of it
+            self._abort_after(error)
+            raise
+
+    def _abort_after(self, error: BaseException) -> None:
+        note = f"{self.name} did not acknowledge ABORT: look whether the shutter is closed"
+        if not self._aborts() and note not in getattr(error, "__notes__", ()):
+            error.add_note(note)
+
+    def _aborts(self) -> bool:
+        try:
+            self.abort()
+        except Exception:
+            return False
+        return True
+
+    def _leave(self) -> None:
+        self._aborts()
+        self.close()

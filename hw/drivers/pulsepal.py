@@ -1,0 +1,145 @@
+"""Driver of the Pulse Pal v2: a code as a custom pulse train on one of its outputs."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from hw.device import DeviceProfile
+from hw.drivers.blind import BlindDevice
+from hw.drivers.pulsepal_link import Parameter, PulsePalLink, dac_code, open_pulsepal
+from hw.export.pulsepal import MAX_PULSES, pulse_train
+from hw.program import Program
+
+__all__ = ["PulsePal"]
+
+_LINKS = {1: Parameter.LINK_1, 2: Parameter.LINK_2}
+
+
+class PulsePal(BlindDevice):
+    """A Pulse Pal on an open link.
+
+    `upload` and `abort` stop all four outputs, since the device knows no other way. A trigger takes effect some 50 us
+    later.
+
+    Parameters
+    ----------
+    link : PulsePalLink
+        Open link that has been greeted, owned by the driver from now on.
+    channel : int
+        Output, 1..4, that drives the shutter.
+    trigger_input : int
+        Trigger input, 1 or 2, whose rising edges play an armed program.
+    high_volts : float
+        Output voltage for an open shutter, above 0 and at most 10 V; 0 V is closed. For a device profile with
+        ``closed_level = 1`` it is the other way round.
+
+    Examples
+    --------
+    ::
+
+        with PulsePal.open("/dev/ttyACM0") as device:
+            report = device.upload(program)
+            device.trigger()
+            device.wait()
+    """
+
+    def __init__(
+        self, link: PulsePalLink, *, channel: int = 1, trigger_input: int = 1, high_volts: float = 5.0
+    ) -> None:
+        _check_options(channel, trigger_input, high_volts)
+        super().__init__(name=link.name)
+        self.link = link
+        self.channel = channel
+        self.trigger_input = trigger_input
+        self.high_volts = high_volts
+
+    @classmethod
+    def open(
+        cls,
+        port: str,
+        *,
+        channel: int = 1,
+        trigger_input: int = 1,
+        high_volts: float = 5.0,
+        timeout_s: float = 0.5,
+        hello_s: float = 3.0,
+    ) -> Self:
+        """Open the Pulse Pal on a serial port; see the class and `hw.drivers.pulsepal_link.open_pulsepal`."""
+        _check_options(channel, trigger_input, high_volts)
+        link = open_pulsepal(port, timeout_s=timeout_s, hello_s=hello_s)
+        return cls(link, channel=channel, trigger_input=trigger_input, high_volts=high_volts)
+
+    @property
+    def firmware(self) -> str:
+        """What the device says it runs."""
+        return f"pulse-pal {self.link.firmware}"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know of this device, one sentence each."""
+        if self.link.firmware == 20:
+            return ("firmware 20 has a fault in gated triggers, which are not used here: update the Pulse Pal to 21",)
+        return ()
+
+    def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
+        """List what keeps the program from being played: by the Pulse Pal, and by the limits of `profile`."""
+        own: tuple[str, ...] = ()
+        try:
+            pulse_train(program)
+        except ValueError as error:
+            own = (f"{self.name}: {error}",)
+        return own + (profile.check(program) if profile else ())
+
+    @property
+    def _retries(self) -> int:
+        return self.link.retries
+
+    def _load(self, program: Program, *, profile: DeviceProfile) -> None:
+        train = pulse_train(program)
+        closed, opened = dac_code(0.0), dac_code(self.high_volts)
+        if profile.closed_level:
+            closed, opened = opened, closed
+        # The closed level comes first: until it is set the output may be at any voltage.
+        for parameter, value in (
+            (Parameter.REST_VOLTS, closed),
+            (Parameter.TRAIN_TARGET, 0),
+            (Parameter.TRAIN, 1),
+            (Parameter.TRAIN_LOOP, 0),
+            (Parameter.BIPHASIC, 0),
+            (Parameter.PHASE_1_VOLTS, opened),
+            (Parameter.PHASE_1_CYCLES, train.phase_cycles),
+            (Parameter.BURST_CYCLES, 0),
+            (Parameter.TRAIN_CYCLES, train.train_cycles),
+            (Parameter.DELAY_CYCLES, train.delay_cycles),
+        ):
+            self.link.set(parameter, self.channel, value)
+        if len(train.onsets_cycles) < MAX_PULSES:  # behind a full train nothing was ever stored
+            self.link.load_train((*train.onsets_cycles, train.guard_cycles), opened)
+        self.link.load_train(train.onsets_cycles, opened)
+        self.link.check_in_step()
+
+    def _arm(self) -> None:
+        self.link.set(Parameter.TRIGGER_MODE, self.trigger_input, 0)
+        self.link.set(_LINKS[self.trigger_input], self.channel, 1)
+
+    def _trigger(self) -> None:
+        self.link.trigger(self.channel)
+
+    def _abort(self) -> None:
+        self.link.stop()
+        for linked in _LINKS.values():
+            self.link.set(linked, self.channel, 0)
+        # A trigger that was waiting at the first stop has started a train right behind it; now none can follow.
+        self.link.stop()
+
+    def _disconnect(self) -> None:
+        self.link.close()
+
+
+def _check_options(channel: int, trigger_input: int, high_volts: float) -> None:
+    if channel not in (1, 2, 3, 4):
+        raise ValueError(f"channel is {channel!r}: 1, 2, 3 or 4 is needed")
+    if trigger_input not in _LINKS:
+        raise ValueError(f"trigger_input is {trigger_input!r}: 1 or 2 is needed")
+    if not 0 < high_volts <= 10:
+        raise ValueError(f"high_volts is {high_volts!r}: above 0 and at most 10 V is needed")

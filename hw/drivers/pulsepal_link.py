@@ -1,0 +1,258 @@
+"""The Pulse Pal's serial protocol: a menu byte, an op and its data; one byte back where the op has a reply at all."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Sequence
+from enum import IntEnum
+
+from hw.errors import DeviceError
+from hw.port import LinkError, OpenPort, PortError, SerialPort, open_port
+
+__all__ = ["Parameter", "PulsePalLink", "dac_code", "open_pulsepal"]
+
+_MENU = 213
+_OLDEST, _NEWEST = 20, 99  # firmware of model 2 begins at 20; far above, it is some other device that said "K"
+_BYTES_PER_S = 50_000  # slowest transfer waited for; USB is much faster
+
+
+class _Op(IntEnum):
+    HELLO = 72
+    SET = 74
+    TRAIN_1 = 75
+    TRIGGER = 77
+    ABORT = 80
+    INFO = 94
+
+
+class Parameter(IntEnum):
+    """What can be set on a channel; the numbers are the protocol's."""
+
+    BIPHASIC = 1
+    PHASE_1_VOLTS = 2
+    PHASE_1_CYCLES = 4
+    BURST_CYCLES = 8
+    TRAIN_CYCLES = 10
+    DELAY_CYCLES = 11
+    LINK_1 = 12
+    LINK_2 = 13
+    TRAIN = 14
+    TRAIN_TARGET = 15
+    TRAIN_LOOP = 16
+    REST_VOLTS = 17
+    TRIGGER_MODE = 128
+
+
+_FORMATS = {
+    Parameter.PHASE_1_VOLTS: "<H",
+    Parameter.PHASE_1_CYCLES: "<I",
+    Parameter.BURST_CYCLES: "<I",
+    Parameter.TRAIN_CYCLES: "<I",
+    Parameter.DELAY_CYCLES: "<I",
+    Parameter.REST_VOLTS: "<H",
+}
+
+
+def dac_code(volts: float) -> int:
+    """Turn a voltage of -10..10 V into the 16-bit code of the output."""
+    return min(65535, round((volts + 10) / 20 * 65536))
+
+
+class PulsePalLink:
+    """Commands and replies on an open port.
+
+    There are no sequence numbers and no check sums: a reply that does not come makes everything after it uncertain,
+    hence only the handshake is ever repeated.
+
+    Parameters
+    ----------
+    port : SerialPort
+        Open port, owned by the link from now on.
+    name : str
+        Name of the port, for messages.
+    timeout_s : float
+        How long to wait for a reply.
+    """
+
+    def __init__(self, port: SerialPort, *, name: str, timeout_s: float = 0.5) -> None:
+        if not timeout_s > 0:
+            raise ValueError(f"timeout_s is {timeout_s}: above 0 is needed")
+        self.name = name
+        self.timeout_s = timeout_s
+        self.retries = 0
+        self.firmware = 0
+        self._port = OpenPort(port, name=name)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is still open on our side."""
+        return self._port.is_open
+
+    def hello(self, *, hello_s: float) -> None:
+        """Greet the device for `hello_s` seconds and note its firmware.
+
+        Raises
+        ------
+        PortError
+            If nothing answers, or it is no Pulse Pal of model 2 with 50 us cycles.
+        """
+        heard = self._greet(hello_s)
+        if not heard:
+            raise PortError(
+                f"{self.name} is silent for {hello_s:g} s: plug the Pulse Pal out and in again, or name another port"
+            )
+        firmware = _firmware(heard)
+        if firmware is None:
+            raise PortError(f"{self.name} sends {len(heard)} bytes but no handshake: not a Pulse Pal")
+        if firmware < _OLDEST:
+            raise PortError(f"{self.name} is a Pulse Pal of model 1 (firmware {firmware}): model 2 is needed")
+        self.firmware = firmware
+        if firmware > 21:  # until then the op meant something else, and there were no other cycles than 50 us
+            self._port.write(bytes([_MENU, _Op.INFO]))
+            cycle_us = struct.unpack("<BIBI", self._take(10, "INFO", self.timeout_s))[1]
+            if cycle_us != 50:
+                raise PortError(f"{self.name} has cycles of {cycle_us} us: a Pulse Pal with 50 us is needed")
+
+    def check_in_step(self) -> None:
+        """Handshake once more: nothing else may come back.
+
+        Raises
+        ------
+        LinkError
+            If the replies do not fit the commands, so that it is unknown what was taken.
+        """
+        heard = self._greet(self.timeout_s)
+        if heard != b"K" + struct.pack("<I", self.firmware):
+            raise LinkError(f"{self.name} answers out of step ({heard[:12].hex(' ') or 'nothing'}): load again")
+
+    def set(self, parameter: Parameter, channel: int, value: int) -> None:
+        """Set a parameter of an output channel, or of a trigger input for `Parameter.TRIGGER_MODE`.
+
+        Raises
+        ------
+        DeviceError
+            If the device refuses it.
+        LinkError
+            If it does not answer.
+        """
+        data = struct.pack(_FORMATS.get(parameter, "<B"), value)
+        self._port.write(bytes([_MENU, _Op.SET, parameter, channel]) + data)
+        self._acknowledged(f"{parameter.name} = {value}", self.timeout_s)
+
+    def load_train(self, onsets_cycles: Sequence[int], volts_code: int) -> None:
+        """Store custom train 1: pulses of one voltage.
+
+        Raises
+        ------
+        DeviceError, LinkError
+            As `set`.
+        """
+        count = len(onsets_cycles)
+        data = struct.pack(f"<BBI{count}I{count}H", _MENU, _Op.TRAIN_1, count, *onsets_cycles, *[volts_code] * count)
+        try:
+            self._port.write(data)
+            self._acknowledged(f"a train of {count} pulses", self.timeout_s + len(data) / _BYTES_PER_S)
+        except BaseException:
+            # Cut short, the device would take the commands that follow, ABORT too, for the rest of the train.
+            if self._port.is_open:
+                self._port.write(bytes(len(data)))
+            raise
+
+    def trigger(self, channel: int) -> None:
+        """Start a channel, if it is idle; there is no reply."""
+        self._port.write(bytes([_MENU, _Op.TRIGGER, 1 << (channel - 1)]))
+
+    def stop(self) -> None:
+        """Stop all channels; the handshake that follows proves that it was done.
+
+        Raises
+        ------
+        LinkError
+            If the handshake is not answered.
+        """
+        self._port.write(bytes([_MENU, _Op.ABORT]))
+        if _firmware(self._greet(3 * self.timeout_s)) is None:
+            raise LinkError(f"{self.name} does not answer: check cable and power")
+
+    def close(self) -> None:
+        """Close the port without a word to the device; may be called again."""
+        self._port.close()
+
+    def _greet(self, seconds: float) -> bytes:
+        """Handshake until an answer comes, and return all that was heard."""
+        deadline = time.monotonic() + seconds
+        heard = b""
+        for attempt in range(max(1, round(seconds / self.timeout_s))):
+            self.retries += attempt > 0
+            self._port.write(bytes([_MENU, _Op.HELLO]))
+            again = min(deadline, time.monotonic() + self.timeout_s)
+            while _firmware(heard) is None and time.monotonic() < again:
+                heard = (heard + self._port.read())[-4096:]
+            if _firmware(heard) is not None:
+                if attempt:
+                    self._quiet()
+                break
+        return heard
+
+    def _quiet(self) -> None:
+        """Let the answers to earlier handshakes pass, which would be taken for acknowledgements."""
+        heard_s = start_s = time.monotonic()
+        while time.monotonic() - heard_s < self.timeout_s:
+            if self._port.read():
+                heard_s = time.monotonic()
+            if heard_s - start_s > 10 * self.timeout_s:
+                raise LinkError(f"{self.name} never stops sending: not a Pulse Pal, or plug it out and in again")
+
+    def _acknowledged(self, what: str, seconds: float) -> None:
+        reply = self._take(1, what, seconds)[0]
+        if reply == 0:
+            raise DeviceError(f"{self.name} refuses {what}: out of range for its firmware {self.firmware}")
+        if reply != 1:
+            raise LinkError(f"{self.name} answers 0x{reply:02x} to {what}: does another program talk to it? load again")
+
+    def _take(self, size: int, what: str, seconds: float) -> bytes:
+        deadline = time.monotonic() + seconds
+        reply = b""
+        while len(reply) < size:
+            reply += self._port.read(size - len(reply))
+            if len(reply) < size and time.monotonic() >= deadline:
+                raise LinkError(f"{self.name} does not answer {what}: check cable and power")
+        return reply
+
+
+def open_pulsepal(port: str, *, timeout_s: float = 0.5, hello_s: float = 3.0) -> PulsePalLink:
+    """Open a port and greet the Pulse Pal on it.
+
+    Parameters
+    ----------
+    port : str
+        Name of a serial port, or its USB serial number.
+    timeout_s : float
+        How long to wait for a reply.
+    hello_s : float
+        How long to greet before giving up.
+
+    Raises
+    ------
+    PortError
+        If the port cannot be opened, or no Pulse Pal of model 2 answers on it.
+    LinkError
+        If the device disappears while it is greeted.
+    """
+    opened = open_port(port)
+    try:
+        link = PulsePalLink(opened, name=port, timeout_s=timeout_s)
+        link.hello(hello_s=hello_s)
+    except BaseException:
+        opened.close()
+        raise
+    return link
+
+
+def _firmware(heard: bytes) -> int | None:
+    """Firmware number when the last five bytes are the answer to a handshake."""
+    if len(heard) < 5 or heard[-5] != ord("K"):
+        return None
+    number = int.from_bytes(heard[-4:], "little")
+    return number if 0 < number <= _NEWEST else None

@@ -1,0 +1,163 @@
+"""Driver of SCPI arbitrary-waveform generators of the 33500 class: a code as a triggered burst of one cycle."""
+
+from __future__ import annotations
+
+import re
+import struct
+from typing import Self
+
+from hw.device import DeviceProfile
+from hw.drivers.blind import BlindDevice
+from hw.drivers.scpi_link import ScpiLink, open_scpi
+from hw.errors import DeviceError, WrongStateError
+from hw.export.scpi import WAVEFORM, commands, sample_rate, samples
+from hw.port import LinkError, PortError
+from hw.program import Program
+
+__all__ = ["ScpiAwg"]
+
+_MODEL = re.compile(r"33[56]\d\d[A-Z]?|EDU3321\d[A-Z]?")
+_CLOCK = 1e-6  # what such an instrument's own clock may be off by
+
+
+class ScpiAwg(BlindDevice):
+    """A waveform generator on an open link; it uses channel 1.
+
+    The code begins one chip after the trigger. With the output off, which it is unless armed, the connector is open:
+    a resistor must hold the shutter closed then.
+
+    Parameters
+    ----------
+    link : ScpiLink
+        Open link, owned by the driver from now on.
+
+    Raises
+    ------
+    PortError
+        If nothing answers, or another kind of instrument does.
+
+    Examples
+    --------
+    ::
+
+        with ScpiAwg.open("TCPIP::192.168.0.7::5025::SOCKET") as awg:
+            report = awg.upload(program, arm=True)
+            awg.trigger()
+            awg.wait()
+    """
+
+    def __init__(self, link: ScpiLink) -> None:
+        self._firmware = _identity(link)
+        super().__init__(name=link.name)
+        self.link = link
+        self._armed = False
+
+    @classmethod
+    def open(cls, resource: str, *, backend: str = "@py", timeout_s: float = 3.0) -> Self:
+        """Open an instrument and ask who it is; parameters and errors as `hw.drivers.scpi_link.open_scpi`."""
+        link = open_scpi(resource, backend=backend, timeout_s=timeout_s)
+        try:
+            return cls(link)
+        except BaseException:
+            link.close()
+            raise
+
+    @property
+    def firmware(self) -> str:
+        """What the device says it runs."""
+        return self._firmware
+
+    def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
+        """List what keeps the program from being played: by the waveform, and by the limits of `profile`."""
+        own: tuple[str, ...] = ()
+        for limited in (samples, sample_rate):
+            try:
+                limited(program)
+            except ValueError as error:
+                own += (f"{self.name}: {error}",)
+        return own + (profile.check(program) if profile else ())
+
+    def trigger(self) -> None:
+        """Play the program once, now.
+
+        Raises
+        ------
+        WrongStateError
+            If it is not armed, or a program that was triggered here is still playing.
+        DeviceError, LinkError
+            If the instrument refuses, or is gone; it was told to abort.
+        """
+        if not self._armed:
+            raise WrongStateError(f"{self.name} is not armed: arm before trigger")
+        super().trigger()
+
+    def play(self) -> None:
+        """Play the program once, now, and wait until it must be over; one that was not armed is not left armed."""
+        armed = self._armed
+        if not armed:
+            self.arm()  # with the output off nothing would be seen of it
+        super().play()
+        if not armed:
+            self.abort()
+
+    def _lasts_ns(self, program: Program) -> int:
+        return len(samples(program)) * program.chip_ns
+
+    def _load(self, program: Program, *, profile: DeviceProfile) -> None:
+        # From the least voltage on, no order of setting the levels makes them cross.
+        for command in ("VOLT MIN", "VOLT:OFFS 0", *commands(program, profile)):
+            if command.startswith(f"DATA:ARB {WAVEFORM},"):
+                self.link.do("FORM:BORD SWAP")
+                self.link.do(f"DATA:ARB {WAVEFORM},", _block(samples(program, profile)))
+            elif not command.endswith("?") and command != "OUTP ON":
+                self.link.do(command)
+        wanted, answer = float(sample_rate(program)), self.link.ask("FUNC:ARB:SRAT?")
+        try:
+            got = float(answer)
+        except ValueError:
+            raise DeviceError(f"{self.name} says its sample rate is {answer[:40]!r}: a number is needed") from None
+        if not abs(got - wanted) <= _CLOCK * wanted:
+            raise DeviceError(
+                f"{self.name} would play at {got:.9g} Sa/s: chips of {program.chip_ns} ns need {wanted:.9g} Sa/s"
+            )
+
+    def _arm(self) -> None:
+        # A burst that an abort cut off may still be running behind the closed output: it must not go on.
+        for command in ("BURS:STAT OFF", "BURS:STAT ON", "OUTP ON"):
+            self.link.do(command)
+        self._armed = True
+
+    def _trigger(self) -> None:
+        self.link.do("TRIG")  # works while an external trigger is waited for
+
+    def _abort(self) -> None:
+        self._armed = False
+        self.link.send("OUTP OFF")
+        self.link.send("*CLS")  # errors that others made are not counted as ours
+        answer = self.link.ask("OUTP?")
+        if answer not in ("0", "OFF"):
+            raise LinkError(
+                f"{self.name} says {answer[:40]!r} to OUTP?: its output must be off, look at the instrument"
+            )
+
+    def _disconnect(self) -> None:
+        self.link.close()
+
+
+def _identity(link: ScpiLink) -> str:
+    """Model and firmware, of an instrument that understands the commands of this driver."""
+    try:
+        answer = link.ask("*IDN?")
+    except LinkError as error:
+        raise PortError(str(error)) from None
+    fields = [part.strip() for part in answer.split(",")]
+    if len(fields) != 4 or not _MODEL.fullmatch(fields[1]):
+        raise PortError(f"{link.name} is {answer[:60]!r}: a 33500-class generator (335xx, 336xx, EDU3321x) is needed")
+    return f"{fields[1]} {fields[3]}"
+
+
+def _block(values: tuple[int, ...]) -> bytes:
+    """IEEE 488.2 definite-length block of little-endian 32-bit floats: its length makes a cut transfer an error."""
+    data = struct.pack(f"<{len(values)}f", *values)
+    length = str(len(data))
+    return f"#{len(length)}{length}".encode("ascii") + data

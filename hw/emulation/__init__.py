@@ -1,0 +1,1 @@
+"""Emulated controllers that run the real firmware."""

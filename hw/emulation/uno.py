@@ -1,0 +1,225 @@
+"""An Arduino Uno for those without one: the shipped firmware on simavr, its UART on a pseudo-terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import subprocess
+import threading
+from importlib.resources import as_file, files
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from hw.emulation.build import EmulationError, build_board
+
+__all__ = ["CLOCK_HZ", "SIGNALS", "EmulatedUno"]
+
+CLOCK_HZ = 16_000_000
+"""Clock of the board, as it believes."""
+SIGNALS = ("shutter", "busy", "trigger")
+"""Pins watched: D9, A1 and D2."""
+
+_CYCLE_UNITS = 625  # 62.5 ns in units of 100 ps
+
+
+class EmulatedUno:
+    """An emulated Uno, running from `start` (or entering its context) to `stop`.
+
+    Parameters
+    ----------
+    firmware : path, optional
+        Intel hex file; by default the one that is shipped.
+    speed : float
+        How fast its time runs, 1 for real time; 0 lets it run as fast as it can, which suits anything but leases.
+    clock_ppm : float
+        By how much its crystal is fast, parts per million; the board does not know.
+    noise : float
+        Chance, per byte and each way, that a byte is lost, changed in one bit, or doubled on the line.
+    noise_seed : int
+        Seed of that, and of the moments at which triggers come.
+
+    Examples
+    --------
+    ::
+
+        with EmulatedUno() as uno, Controller.open(uno.port) as controller:
+            controller.upload(program, arm=True)
+            uno.trigger()
+    """
+
+    def __init__(
+        self,
+        firmware: str | Path | None = None,
+        *,
+        speed: float = 1.0,
+        clock_ppm: float = 0.0,
+        noise: float = 0.0,
+        noise_seed: int = 0,
+    ) -> None:
+        if not (math.isfinite(speed) and speed >= 0):
+            raise ValueError(f"speed is {speed}: 0 (unpaced) or above is needed")
+        if not abs(clock_ppm) <= 100_000:
+            raise ValueError(f"clock_ppm is {clock_ppm}: at most 100000 either way is needed")
+        if not 0 <= noise <= 1:
+            raise ValueError(f"noise is {noise}: a chance 0..1 is needed")
+        if noise_seed < 0:
+            raise ValueError(f"noise_seed is {noise_seed}: 0 or above is needed")
+        if firmware is not None and not Path(firmware).is_file():
+            raise ValueError(f"firmware {firmware} is no file: name an Intel hex file")
+        self.firmware = None if firmware is None else Path(firmware)
+        self.clock_ppm = clock_ppm
+        self._words = [repr(float(speed)), repr(float(clock_ppm)), repr(float(noise)), str(noise_seed)]
+        self._board: subprocess.Popen[str] | None = None
+        self._port = ""
+        self._events: tuple[tuple[int, str, int], ...] = ()
+        self._talk = threading.Lock()
+
+    @property
+    def port(self) -> str:
+        """Name of its serial port."""
+        self._running()
+        return self._port
+
+    def start(self) -> Self:
+        """Switch it on.
+
+        Raises
+        ------
+        EmulationError
+            If the emulator cannot be compiled, or refuses the firmware, or runs already.
+        """
+        if self._board is not None:
+            raise EmulationError("emulated Uno is on already: stop it first")
+        program = build_board()
+        shipped = files("hw.firmware").joinpath("avr", "cxp-avr.hex")
+        with contextlib.ExitStack() as kept:
+            firmware = self.firmware or kept.enter_context(as_file(shipped))
+            self._board = subprocess.Popen(
+                [str(program), str(firmware), *self._words],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+                start_new_session=True,  # Ctrl-C on our terminal must not end it before its pins have been asked for
+            )  # fmt: skip
+            try:
+                word, self._port = self._line().split(" ", 1)
+                if word != "PTY":
+                    raise EmulationError(f"emulated Uno says {word} {self._port}: a port was expected")
+            except BaseException:
+                self._end()
+                raise
+        return self
+
+    def stop(self) -> None:
+        """Switch it off; what its pins did can still be asked for."""
+        if self._board is not None:
+            with contextlib.suppress(EmulationError):
+                self._events = self._ask_events()
+            self._end()
+
+    def check(self) -> None:
+        """Look whether it still runs.
+
+        Raises
+        ------
+        EmulationError
+            If it has ended, as when its firmware crashed.
+        """
+        if self._running().poll() is not None:
+            self._line()
+
+    def trigger(self) -> None:
+        """Give a rising edge on the trigger input, at any moment within half a millisecond."""
+        self._command("trigger")
+
+    def hang(self) -> int:
+        """Make the program stop where it is, interrupts off, until it is reset; the cycle since start is returned."""
+        return int(self._command("hang"))
+
+    def cycle(self) -> int:
+        """Return how many clock cycles it has run, which may lag behind real time on a busy computer."""
+        return int(self._command("cycle"))
+
+    def unplug(self) -> None:
+        """Pull the cable: the port is gone, the board runs on."""
+        self._command("unplug")
+
+    def plug(self) -> None:
+        """Plug the cable in again: there is a new `port`."""
+        self._port = self._command("plug")
+
+    def edges(self, signal: str = "shutter") -> tuple[tuple[int, int], ...]:
+        """Return the changes of a pin since the start as (time in clock cycles, level); all pins begin low."""
+        if signal not in SIGNALS:
+            raise ValueError(f"signal is {signal!r}: one of {', '.join(SIGNALS)} is needed")
+        return tuple((cycle, level) for cycle, name, level in self._known_events() if name == signal)
+
+    def write_vcd(self, path: str | Path) -> None:
+        """Write what the pins did as a logic analyser with a true clock would have seen it, in units of 100 ps."""
+        marks = dict(zip(SIGNALS, "sbt", strict=True))
+        lines = ["$timescale 100 ps $end", "$scope module uno $end"]
+        lines += [f"$var wire 1 {mark} {name} $end" for name, mark in marks.items()]
+        lines += ["$upscope $end", "$enddefinitions $end", "#0", "$dumpvars"]
+        lines += [f"0{mark}" for mark in marks.values()] + ["$end"]
+        last = 0
+        for cycle, name, level in self._known_events():
+            time = round(cycle * _CYCLE_UNITS / (1 + self.clock_ppm * 1e-6))
+            if time != last:
+                lines.append(f"#{time}")
+                last = time
+            lines.append(f"{level}{marks[name]}")
+        Path(path).write_text("\n".join(lines) + "\n", encoding="ascii")
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def _known_events(self) -> tuple[tuple[int, str, int], ...]:
+        return self._events if self._board is None else self._ask_events()
+
+    def _ask_events(self) -> tuple[tuple[int, str, int], ...]:
+        events = []
+        with self._talk:
+            self._say("events")
+            while (line := self._line()) != ".":
+                cycle, name, level = line.split()
+                events.append((int(cycle), name, int(level)))
+        return tuple(events)
+
+    def _command(self, command: str) -> str:
+        with self._talk:
+            self._say(command)
+            return self._line().removeprefix("OK").strip()
+
+    def _running(self) -> subprocess.Popen[str]:
+        if self._board is None:
+            raise EmulationError("emulated Uno is off: start it, or use it as a context manager")
+        return self._board
+
+    def _say(self, command: str) -> None:
+        board = self._running()
+        assert board.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # the answer tells why
+            board.stdin.write(command + "\n")
+            board.stdin.flush()
+
+    def _line(self) -> str:
+        board = self._running()
+        assert board.stdout is not None
+        line = board.stdout.readline().rstrip("\n")
+        if not line or line.startswith("ERROR"):
+            raise EmulationError(f"emulated Uno has stopped: {line.removeprefix('ERROR ') or 'it was ended'}")
+        return line
+
+    def _end(self) -> None:
+        board, self._board = self._board, None
+        if board is not None:
+            board.kill()
+            assert board.stdin is not None
+            with contextlib.suppress(BrokenPipeError):  # a command may be left that nobody read
+                board.stdin.close()
+            with board:  # closes its other pipe and waits
+                pass

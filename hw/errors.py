@@ -1,0 +1,74 @@
+"""What a device refuses, as typed exceptions."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+__all__ = [
+    "BadLengthError",
+    "BadOpError",
+    "DeviceError",
+    "DutyLimitError",
+    "ErrorCode",
+    "OnLimitError",
+    "OutOfRangeError",
+    "WrongStateError",
+    "device_error",
+]
+
+
+class ErrorCode(IntEnum):
+    """Error byte of a CXP1 reply."""
+
+    OK = 0
+    BAD_OP = 1
+    BAD_LENGTH = 2
+    OUT_OF_RANGE = 3
+    WRONG_STATE = 4
+    DUTY_LIMIT = 5
+    ON_LIMIT = 6
+
+
+class DeviceError(RuntimeError):
+    """The device understood a request and refused it; nothing changed in the device."""
+
+
+class BadOpError(DeviceError):
+    """The device does not know the request."""
+
+
+class BadLengthError(DeviceError):
+    """The payload has a length the request does not take."""
+
+
+class OutOfRangeError(DeviceError):
+    """A value is outside what the device takes."""
+
+
+class WrongStateError(DeviceError):
+    """The request is not allowed in the present state."""
+
+
+class DutyLimitError(DeviceError):
+    """The program is open for a larger part of its time than the device allows."""
+
+
+class OnLimitError(DeviceError):
+    """An opening is longer than the device allows."""
+
+
+_KINDS: dict[int, tuple[type[DeviceError], str]] = {
+    ErrorCode.BAD_OP: (BadOpError, "unknown request: its firmware is another version"),
+    ErrorCode.BAD_LENGTH: (BadLengthError, "wrong payload length: its firmware is another version"),
+    ErrorCode.OUT_OF_RANGE: (OutOfRangeError, "value out of range: check chip time and number of chips"),
+    ErrorCode.WRONG_STATE: (WrongStateError, "not allowed in its present state: ask STATUS; load before arm, arm "
+                            "before trigger, abort before load"),
+    ErrorCode.DUTY_LIMIT: (DutyLimitError, "open for too much of the time: use a code with fewer open chips"),
+    ErrorCode.ON_LIMIT: (OnLimitError, "an opening is too long: use shorter runs of open chips, or shorter chips"),
+}  # fmt: skip
+
+
+def device_error(code: int, *, request: str, source: str) -> DeviceError:
+    """Typed exception for an error byte; `source` names the device and `request` what it refuses."""
+    kind, text = _KINDS.get(code, (DeviceError, f"error {code}, which this version does not know"))
+    return kind(f"{source} refuses {request}: {text}")

@@ -1,0 +1,158 @@
+"""Pulse Pal v2: the code as a custom pulse train in whole 50 us cycles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hw.device import DeviceProfile
+from hw.export._text import GENERIC, toml_table, unaltered, verified, whole
+from hw.program import Program
+
+__all__ = ["CYCLE_NS", "MAX_PULSES", "PulseTrain", "export", "parse_back", "pulse_train", "suffix", "summary"]
+
+suffix = ".pulsepal.toml"
+summary = "custom train of a Pulse Pal v2, in its 50 us cycles"
+
+CYCLE_NS = 50_000
+"""Period of the Pulse Pal's timer in ns: every time is a whole number of these."""
+MAX_PULSES = 5000
+"""Pulses a custom train holds; the firmware itself does not check."""
+
+_FORMAT = "hw.pulsepal/1"
+_LEAST_CYCLES = 2  # documented: no phase below 100 us
+_MOST_CYCLES = 72_000_000  # documented: no time above 3600 s
+_ONSETS_PER_LINE = 12
+_OPEN_VOLTS = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class PulseTrain:
+    """A custom train as the Pulse Pal stores it; all times are in cycles of `CYCLE_NS`.
+
+    One pulse per open chip: the device knows one pulse width per train, and joins a pulse to its predecessor when it
+    starts no later than that one ends.
+
+    Parameters
+    ----------
+    phase_cycles : int
+        Width of every pulse (phase 1): the chip.
+    onsets_cycles : tuple of int
+        Start of each pulse after the first one's, hence from 0; at most `MAX_PULSES`.
+    delay_cycles : int
+        Train delay: the closed chips before the first open one.
+    train_cycles : int
+        Train duration, past the end of the last pulse.
+    guard_cycles : int
+        A time past the end. The firmware compares the last onset with the entry behind it, which it never clears: a
+        time left there by an earlier, longer train can cut the last pulse short or keep it open for ever. Therefore
+        send ``(*onsets_cycles, guard_cycles)`` first and ``onsets_cycles`` alone afterwards.
+    """
+
+    phase_cycles: int
+    onsets_cycles: tuple[int, ...]
+    delay_cycles: int
+    train_cycles: int
+    guard_cycles: int
+
+
+def pulse_train(program: Program, /) -> PulseTrain:
+    """Turn a program into a custom train.
+
+    Raises
+    ------
+    ValueError
+        If the chip is no whole number of cycles or below two, or if there are too many open chips or cycles.
+    """
+    phase, rest = divmod(program.chip_ns, CYCLE_NS)
+    if rest or phase < _LEAST_CYCLES:
+        near = max(_LEAST_CYCLES, phase)
+        raise ValueError(
+            f"chip of {program.chip_ns} ns cannot be played by a Pulse Pal: it must be a multiple of {CYCLE_NS} ns, "
+            f"at least {_LEAST_CYCLES * CYCLE_NS} ns; {near * CYCLE_NS} ns would do"
+        )
+    onsets = [index * phase for index, bit in enumerate(program.bits) if bit == "1"]
+    if len(onsets) > MAX_PULSES:
+        raise ValueError(f"code has {len(onsets)} open chips: a Pulse Pal train holds at most {MAX_PULSES}")
+    end = (program.chips + 1) * phase
+    if end > _MOST_CYCLES:
+        raise ValueError(
+            f"code lasts {program.duration_ns / 1e9:.6g} s: with one chip more a Pulse Pal plays at most 3600 s"
+        )
+    first = onsets[0]
+    return PulseTrain(phase, tuple(onset - first for onset in onsets), first, end, end)
+
+
+def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
+    """Write the train and the settings of its output channel as TOML, with the device's parameter numbers.
+
+    Raises
+    ------
+    ValueError
+        As `pulse_train`.
+    """
+    train = pulse_train(program)
+    rest, opened = (0.0, _OPEN_VOLTS) if device.closed_level == 0 else (_OPEN_VOLTS, 0.0)
+    starts = [str(onset) for onset in train.onsets_cycles]
+    rows = [", ".join(starts[k : k + _ONSETS_PER_LINE]) for k in range(0, len(starts), _ONSETS_PER_LINE)]
+    onsets = ",\n".join(f"    {row}" for row in rows)
+    return f"""\
+# Pulse Pal v2 custom train written by coded-exposure: {program.chips} chips of {program.chip_ns} ns.
+# All times are cycles of 50 us: send them as they are, since times in seconds get truncated on the way.
+# The firmware looks one entry past the train: first send the onsets with guard_cycles as one more, then without it.
+format = "{_FORMAT}"
+code_crc32 = "0x{program.code_crc32:08x}"
+chip_ns = {program.chip_ns}
+chips = {program.chips}
+
+[channel]
+is_biphasic = 0  # parameter 1
+phase1_volts = {opened}  # parameter 2, open
+phase1_cycles = {train.phase_cycles}  # parameter 4, one chip
+burst_cycles = 0  # parameter 8, no bursts
+train_cycles = {train.train_cycles}  # parameter 10
+delay_cycles = {train.delay_cycles}  # parameter 11, the closed chips at the start
+custom_train = 1  # parameter 14
+custom_target = 0  # parameter 15, onsets of pulses
+custom_loop = 0  # parameter 16, play once
+rest_volts = {rest}  # parameter 17, closed
+
+[train]
+pulses = {len(train.onsets_cycles)}
+pulse_volts = {opened}  # of every pulse
+guard_cycles = {train.guard_cycles}
+onsets_cycles = [
+{onsets},
+]
+"""
+
+
+def parse_back(text: str, /) -> Program:
+    """Read the program back.
+
+    Raises
+    ------
+    ValueError
+        If the text is not what `export` writes.
+    """
+    source = "Pulse Pal text"
+    table = toml_table(text, form=_FORMAT, source=source)
+    chip_ns, chips = whole(table, "chip_ns", source=source), whole(table, "chips", source=source)
+    channel, train = table.get("channel"), table.get("train")
+    if not isinstance(channel, dict) or not isinstance(train, dict):
+        raise ValueError(f"{source} has no table [channel] or no [train]: it was cut short or altered, export again")
+    phase = whole(channel, "phase1_cycles", source=source)
+    delay = whole(channel, "delay_cycles", source=source)
+    onsets = train.get("onsets_cycles")
+    if not isinstance(onsets, list) or not 0 < len(onsets) <= MAX_PULSES or chips * phase > _MOST_CYCLES or not phase:
+        raise ValueError(f"{source} train has no usable onsets_cycles, phase1_cycles or chips: export again")
+    bits = bytearray(b"0" * chips)
+    for onset in onsets:
+        if type(onset) is not int or onset % phase or not 0 <= (onset + delay) // phase < chips:
+            raise ValueError(
+                f"{source} has onset {str(onset)[:20]!r}: multiples of phase1_cycles in the code are needed"
+            )
+        bits[(onset + delay) // phase] = ord("1")
+    program = verified(Program(bits.decode(), chip_ns), str(table.get("code_crc32")), source=source)
+    rests_high = channel.get("rest_volts") == _OPEN_VOLTS
+    device = DeviceProfile(name="generic", closed_level=int(rests_high))
+    return unaltered(program, text, export(program, device), source=source)

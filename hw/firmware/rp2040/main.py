@@ -1,0 +1,60 @@
+# mypy: disable-error-code="import-not-found,attr-defined,no-untyped-call"
+"""Shutter controller CXP1 on a board with an RP2040: what is wired where, and the console it is spoken to by."""
+
+__all__ = ["run"]
+
+SHUTTER_PIN = 15  # high is open; 10 kOhm to ground
+TRIGGER_PIN = 14  # a rising edge plays what is armed
+MAX_ON_US = 0  # longest opening the shutter stands, 0: any
+MAX_DUTY = 1000  # largest open fraction of a code in 1/1000
+WATCHDOG_MS = 2000  # a reply that the host does not fetch may take half a second a packet
+
+_WATCHDOG_STOP = 0x4005B000  # its control register, at the address where ones clear bits
+_WATCHDOG_ENABLE = 1 << 30
+
+
+def run() -> None:
+    """Serve the console until it gets a carriage return and Ctrl-C, as mpremote sends; then the shutter is closed."""
+    import time
+
+    import machine
+    import micropython
+    from cxp import Player
+    from pio_shutter import CLOCK_HZ, PioShutter
+
+    machine.freq(CLOCK_HZ)
+    shutter = PioShutter(SHUTTER_PIN, TRIGGER_PIN, max_on_us=MAX_ON_US, max_duty=MAX_DUTY)
+    player = Player(shutter, time)
+    micropython.kbd_intr(-1)  # a lone 0x03 is noise or a host of binary frames, no wish to stop
+    watchdog = machine.WDT(timeout=WATCHDOG_MS)
+    try:
+        _serve(player, watchdog)
+    finally:
+        shutter.close()
+        machine.mem32[_WATCHDOG_STOP] = _WATCHDOG_ENABLE  # there is no method for it, and the console must live on
+        micropython.kbd_intr(3)
+
+
+def _serve(player, watchdog):  # type: ignore[no-untyped-def]
+    import select
+    import sys
+
+    ready = select.poll()
+    ready.register(sys.stdin, select.POLLIN)
+    before = b""
+    while True:
+        watchdog.feed()
+        player.poll()
+        if not ready.poll(1):
+            continue
+        byte = sys.stdin.buffer.read(1)
+        if before == b"\r" and byte == b"\x03":
+            return
+        before = byte
+        reply = player.feed(byte)
+        if reply:
+            sys.stdout.buffer.write(reply)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,218 @@
+"""Serial ports: opened for ourselves alone, and found by name, USB serial number, or what answers on them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+__all__ = [
+    "LinkError",
+    "OpenPort",
+    "PortError",
+    "PortInfo",
+    "SerialPort",
+    "list_ports",
+    "one_line",
+    "open_port",
+    "port_named",
+]
+
+_POLL_S = 0.01
+_ERRNO_HINTS = {
+    2: "there is no such port: plug the device in, or look at the port's name",
+    6: "the device is gone: plug it in again",
+    11: "another program has it open: close that one first",
+    13: "no permission: add yourself to the port's group (dialout), or close the program that uses it",
+    16: "another program has it open: close that one first",
+    21: "it is a folder: name a serial port",
+    25: "it is no serial port: name one",
+    35: "another program has it open: close that one first",
+}
+
+
+class PortError(ValueError):
+    """The port named cannot be used: missing, busy, silent, or not the device that was expected."""
+
+
+class LinkError(RuntimeError):
+    """A device that had answered stopped to do so: unplugged, hung, or the line is too noisy."""
+
+
+class SerialPort(Protocol):
+    """The part of ``serial.Serial`` that drivers use; `read` returns after a short timeout."""
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read at once."""
+
+    def read(self, size: int, /) -> bytes:
+        """Read at most `size` bytes."""
+
+    def write(self, data: bytes, /) -> int | None:
+        """Write all bytes."""
+
+    def close(self) -> None:
+        """Close the port."""
+
+
+class OpenPort:
+    """An open port that says in one line when it is gone, and is closed from then on.
+
+    Parameters
+    ----------
+    port : SerialPort
+        Owned from now on.
+    name : str
+        For messages.
+    """
+
+    def __init__(self, port: SerialPort, *, name: str) -> None:
+        self.name = name
+        self._port: SerialPort | None = port
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is still open on our side."""
+        return self._port is not None
+
+    def read(self, size: int | None = None) -> bytes:
+        """Read `size` bytes, or what is there, waiting for a short time only.
+
+        Raises
+        ------
+        LinkError
+            If the port was closed or is gone.
+        """
+        port = self._opened()
+        try:
+            return port.read(size or max(1, port.in_waiting))
+        except Exception as error:  # termios.error is no OSError, and pyserial lets TypeError through on a closed port
+            raise self._gone(error) from error
+
+    def write(self, data: bytes) -> None:
+        """Write all bytes; errors as `read`."""
+        port = self._opened()
+        try:
+            port.write(data)
+        except Exception as error:
+            raise self._gone(error) from error
+
+    def close(self) -> None:
+        """Close it; may be called again."""
+        port, self._port = self._port, None
+        if port is not None:
+            with contextlib.suppress(Exception):  # an unplugged port may refuse even this
+                port.close()
+
+    def _opened(self) -> SerialPort:
+        if self._port is None:
+            raise LinkError(f"{self.name} is closed: open it again")
+        return self._port
+
+    def _gone(self, error: Exception) -> LinkError:
+        self.close()
+        return LinkError(f"{self.name} is gone ({one_line(error)}): plug the device in and open the port again")
+
+
+@dataclass(frozen=True, slots=True)
+class PortInfo:
+    """A serial port of this machine.
+
+    Parameters
+    ----------
+    port : str
+        Name by which it is opened.
+    description : str
+        What the system says of it.
+    serial_number : str or None
+        USB serial number, which stays when the port's name changes.
+    """
+
+    port: str
+    description: str
+    serial_number: str | None
+
+
+def list_ports() -> tuple[PortInfo, ...]:
+    """List the serial ports of this machine, sorted by name."""
+    from serial.tools import list_ports as tool
+
+    found = (PortInfo(p.device, p.description or "", p.serial_number or None) for p in tool.comports())
+    return tuple(sorted(found, key=lambda info: info.port))
+
+
+def port_named(name: str) -> str:
+    """Return the port that has a USB serial number, or the name itself when it is none.
+
+    Raises
+    ------
+    PortError
+        If several ports have that serial number.
+    """
+    if os.path.exists(name):
+        return name
+    found = [info.port for info in list_ports() if info.serial_number == name]
+    if len(found) > 1:
+        raise PortError(f"serial number {name} is that of {' and '.join(found)}: name one of the ports")
+    return found[0] if found else name
+
+
+def open_port(port: str, *, baud: int = 115200) -> SerialPort:
+    """Open a serial port for ourselves alone.
+
+    Where the system allows it, the line that resets an Arduino is left as it is when the port is closed, so that
+    opening it again finds the board and its program as they were.
+
+    Parameters
+    ----------
+    port : str
+        Name of a serial port, as ``/dev/ttyUSB0`` or ``COM3``, or its USB serial number.
+    baud : int
+        Line rate.
+
+    Raises
+    ------
+    PortError
+        If it is missing, busy, not a serial port, or the baud rate is impossible.
+    """
+    import serial
+
+    if not isinstance(port, str) or not port.strip():
+        raise PortError(f"port is {port!r}: name a serial port")
+    if isinstance(baud, bool) or not isinstance(baud, int) or not 0 < baud <= 10**7:
+        raise PortError(f"baud is {baud!r}: a whole number 1..10000000 is needed, usually 115200")
+    try:
+        opened: Any = serial.Serial(port_named(port), baud, timeout=_POLL_S, write_timeout=1.0, exclusive=True)
+    except PortError:
+        raise
+    except Exception as error:  # SerialException, ValueError, OSError or termios.error, by platform and driver
+        hint = _ERRNO_HINTS.get(_errno(error), one_line(error))
+        raise PortError(f"{port} cannot be opened: {hint}") from None
+    with contextlib.suppress(Exception):
+        _keep_lines_on_close(opened.fileno())
+    return opened  # type: ignore[no-any-return]
+
+
+def one_line(error: Exception) -> str:
+    """Text of an error in one line, of at most 160 characters."""
+    return " ".join(str(error).split())[:160] or type(error).__name__
+
+
+def _errno(error: BaseException | None) -> int:
+    # pyserial wraps termios.error, which has its number in its arguments only.
+    while error is not None:
+        for number in (getattr(error, "errno", None), *error.args[:1]):
+            if isinstance(number, int):
+                return number
+        error = error.__context__
+    return 0
+
+
+def _keep_lines_on_close(descriptor: int) -> None:
+    import termios
+
+    attributes = termios.tcgetattr(descriptor)
+    attributes[2] &= ~termios.HUPCL
+    termios.tcsetattr(descriptor, termios.TCSANOW, attributes)

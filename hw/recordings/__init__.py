@@ -1,0 +1,1 @@
+"""What a shutter really played: logic-analyser recordings, and their edges against the program."""

@@ -1,0 +1,251 @@
+"""Recorded edges against the program: what the shutter really played, by whose clock, and how steadily."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import sqrt
+from statistics import fmean
+
+from hw.program import Program
+from hw.recordings.capture import Trace
+from hw.recordings.edge_fit import EdgeFit, fit_edges
+
+__all__ = ["Verification", "align"]
+
+_GLITCH = 0.1  # of a chip: what is shorter is noise, not a chip
+_SLACK = 1.03  # a play may last that much longer than it should before the next is looked for
+_DRIFT_CHIPS = 0.25  # over the whole code; more is a visibly other blur
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """One recorded play of a program.
+
+    Parameters
+    ----------
+    start_ns : float
+        Moment of the first chip in the recording.
+    achieved : str
+        Chips as played, by majority of the open time of each at the fitted clock.
+    same_bits : bool
+        Whether that is the program's code.
+    inverted : bool
+        Whether the signal rests high, hence is open when low.
+    scale_ppm : float
+        How much longer than asked for everything lasts, parts per million.
+    jitter_ns, worst_ns : float
+        Root mean square and largest distance of an edge from the fitted clock.
+    widening_ns : float
+        How much longer the openings last than the fitted clock says: slow closing, or the device's own addition.
+    matched, missing, extra : int
+        Edges found in their places, openings of the program not found, and openings found that it has not.
+    glitches : int
+        Pulses too short to be chips, passed over.
+    latency_ns : float or None
+        From the trigger to the first chip, if a trigger was recorded.
+    problems : tuple of str
+        What is wrong, each in one sentence; empty when the program was played.
+    """
+
+    start_ns: float
+    achieved: str
+    same_bits: bool
+    inverted: bool
+    scale_ppm: float
+    jitter_ns: float
+    worst_ns: float
+    widening_ns: float
+    matched: int
+    missing: int
+    extra: int
+    glitches: int
+    latency_ns: float | None
+    problems: tuple[str, ...]
+
+    @property
+    def verdict(self) -> str:
+        """All of it in one line."""
+        if self.problems:
+            return "; ".join(self.problems)
+        rest = ", signal inverted" if self.inverted else ""
+        return (
+            f"the code was played: {len(self.achieved)} chips, clock {self.scale_ppm:+.1f} ppm, jitter "
+            f"{self.jitter_ns:.1f} ns rms, worst edge {self.worst_ns:.1f} ns{rest}"
+        )
+
+
+def align(trace: Trace, program: Program, *, trigger: Trace | None = None) -> tuple[Verification, ...]:
+    """Compare a recorded signal with the program.
+
+    Parameters
+    ----------
+    trace : Trace
+        The shutter's signal; its level at rest counts as closed, whichever it is.
+    program : Program
+        What should have been played.
+    trigger : Trace or None
+        A signal that rises at or shortly before every play; without one, a play begins with its first opening.
+
+    Returns
+    -------
+    tuple of Verification
+        One for each play in the recording.
+
+    Raises
+    ------
+    ValueError
+        If the signal has no edge, or the trigger no rising one.
+    """
+    for each, what in ((trace, "signal"), (trigger, "trigger")):
+        if each is not None and not each.edges:
+            raise ValueError(f"{what} {each.name!r} has no edge in this recording: nothing was played into it")
+    if trigger is not None and not any(level for _, level in trigger.edges):
+        raise ValueError(f"trigger {trigger.name!r} never rises in this recording: start it before the trigger")
+    inverted = _rests_high(trace)
+    level = trace.level ^ inverted
+    raw = [(time_ns, new ^ inverted) for time_ns, new in trace.edges]
+    edges, short = _without_glitches([(trace.start_ns, 1), *raw] if level else raw, _GLITCH * program.chip_ns)
+    found = []
+    for begin, end, asked in _plays(edges, program, trigger):
+        inside = edges[bisect_left(edges, (begin, 0)) : bisect_left(edges, (end, 0))]
+        glitches = sum(begin <= time_ns < end for time_ns in short)
+        found.append(_verification(inside, program, trace.end_ns, bool(inverted), glitches, asked))
+    if level and found:
+        cut = ("the recording begins with the shutter open: start it before the trigger",)
+        found[0] = replace(found[0], problems=(*found[0].problems, *cut))
+    return tuple(found)
+
+
+def _rests_high(trace: Trace) -> int:
+    last = trace.edges[-1][1]
+    if trace.level == last:
+        return last
+    before, after = trace.edges[0][0] - trace.start_ns, trace.end_ns - trace.edges[-1][0]
+    return trace.level if before >= after else last
+
+
+def _without_glitches(
+    edges: Sequence[tuple[float, int]], shortest_ns: float
+) -> tuple[list[tuple[float, int]], list[float]]:
+    """Drop pulses of either level that are too short; return what is left and the moments of the dropped ones."""
+    kept: list[tuple[float, int]] = []
+    dropped: list[float] = []
+    for edge in edges:
+        if kept and edge[0] - kept[-1][0] < shortest_ns:
+            dropped.append(kept.pop()[0])
+        else:
+            kept.append(edge)
+    return kept, dropped
+
+
+def _plays(
+    edges: Sequence[tuple[float, int]], program: Program, trigger: Trace | None
+) -> Iterator[tuple[float, float, float | None]]:
+    """Yield (begin, end, trigger time) of each stretch that holds one play."""
+    nominal = program.edges
+    lasts = (nominal[-1][0] - nominal[0][0]) * _SLACK + program.chip_ns / 2
+    if trigger is not None:
+        moments: list[float] = []
+        for time_ns, level in trigger.edges:
+            if level and (not moments or time_ns >= moments[-1] + program.duration_ns / _SLACK):
+                moments.append(time_ns)
+        # An analyser may see a simultaneous opening a sample earlier.
+        early = program.chip_ns / 2
+        for moment, following in pairwise([*moments, float("inf")]):
+            yield moment - early, following - early, moment
+        return
+    if len(edges) == len(nominal):  # one play, even if its clock is badly wrong
+        yield edges[0][0], float("inf"), None
+        return
+    begin: float | None = None
+    for time_ns, level in edges:
+        if level and (begin is None or time_ns > begin + lasts):
+            if begin is not None:
+                yield begin, begin + lasts, None
+            begin = time_ns
+    if begin is not None:
+        yield begin, float("inf"), None
+
+
+def _verification(
+    edges: Sequence[tuple[float, int]],
+    program: Program,
+    end_ns: float,
+    inverted: bool,
+    glitches: int,
+    trigger_ns: float | None,
+) -> Verification:
+    if not any(level for _, level in edges):
+        return _nothing(program, inverted, glitches, trigger_ns or 0.0)
+    fit, otherwise = fit_edges(edges, program), ""
+    if fit.wrong:
+        fit, otherwise = _explained(fit, edges, program)
+    problems = [otherwise] if otherwise else []
+    there = sum(level for _, _, level in fit.pairs)
+    missing, extra = fit.program.pulses - there, sum(level for _, level in edges) - there
+    if missing or extra:
+        problems.append(f"{missing} of {program.pulses} openings are missing and {extra} are too many")
+    if fit.stays_open:
+        problems.append("the shutter stays open after the last chip")
+    if fit.open_at + fit.scale * program.edges[-1][0] > end_ns + program.chip_ns / 2:
+        problems.append("the recording ends before the code does: record longer")
+    scale_ppm, drift = (fit.scale - 1) * 1e6, abs(fit.scale - 1) * program.chips
+    if drift > _DRIFT_CHIPS:
+        problems.append(f"the clock is off by {scale_ppm:+.0f} ppm, {drift:.2f} chips over the code: calibrate it")
+    return Verification(
+        start_ns=fit.open_at,
+        achieved=fit.achieved,
+        same_bits=fit.achieved == program.bits,
+        inverted=inverted,
+        scale_ppm=scale_ppm,
+        jitter_ns=sqrt(fmean(x * x for x in fit.residuals)),
+        worst_ns=max(abs(x) for x in fit.residuals),
+        widening_ns=fit.close_at - fit.open_at,
+        matched=len(fit.pairs),
+        missing=missing,
+        extra=extra,
+        glitches=glitches,
+        latency_ns=None if trigger_ns is None else fit.open_at - trigger_ns,
+        problems=tuple(problems),
+    )
+
+
+def _nothing(program: Program, inverted: bool, glitches: int, trigger_ns: float) -> Verification:
+    return Verification(
+        start_ns=trigger_ns,
+        achieved="0" * program.chips,
+        same_bits=False,
+        inverted=inverted,
+        scale_ppm=0.0,
+        jitter_ns=0.0,
+        worst_ns=0.0,
+        widening_ns=0.0,
+        matched=0,
+        missing=program.pulses,
+        extra=0,
+        glitches=glitches,
+        latency_ns=None,
+        problems=(f"nothing opens after the trigger at {trigger_ns / 1e6:.6g} ms: was it armed?",),
+    )
+
+
+def _explained(fit: EdgeFit, edges: Sequence[tuple[float, int]], program: Program) -> tuple[EdgeFit, str]:
+    """Say how a wrong code differs; known mistakes of firmware are recognised when they explain every edge."""
+    padded = program.bits.ljust(-(-program.chips // 8) * 8, "0")
+    swapped = "".join(padded[8 * (k // 8) + 7 - k % 8] for k in range(program.chips))
+    mistakes = {
+        swapped: "the bits of each byte are played last first (LSB first)",
+        program.bits[::-1]: "the code is played backwards",
+        program.bits.translate(str.maketrans("01", "10")): "open and closed are swapped",
+    }
+    for bits, what in mistakes.items():
+        mistaken = Program(bits, program.chip_ns) if "1" in bits else program
+        if len(mistaken.edges) == len(edges) and mistaken != program:
+            other = fit_edges(edges, mistaken)
+            if not other.wrong and len(other.pairs) == len(edges):
+                return other, f"another code was played: {what}"
+    first = next(k for k, (is_, want) in enumerate(zip(fit.achieved, program.bits, strict=True)) if is_ != want)
+    return fit, f"another code was played: {fit.wrong} of {program.chips} chips differ, first chip {first}"

@@ -1,0 +1,163 @@
+"""``cep bench cep``: from photos to tables, going on where it stopped, and refusals."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cep.bench.coded import designs
+from cep.bench.coded.designs import DESIGNS
+from cep.code import ShutterCode
+from cep.images import read_image, write_image
+
+TINY = """\
+name = "tiny"
+photos = 3
+motions = 1
+crop_px = 96
+borders = "real"
+shakes = "mixed"
+chips = 16
+open_range = [6, 10]
+objective = "mse"
+photons = [300.0, 10000.0]
+design_photons = 10000.0
+bits = 12
+read_noise_e = 5.0
+restoration = "wiener"
+knows_psf = true
+steps = 1000
+seed = 0
+quick_photos = 1
+quick_motions = 1
+quick_steps = 500
+"""
+TABLES = [
+    "Coded exposure, tiny, 300 photo-electrons",
+    "Coded exposure, tiny, 10,000 photo-electrons",
+    "Noise gain of the codes along the true motion",
+]
+
+
+@pytest.fixture
+def studio(tmp_path, monkeypatch):
+    """A folder with two sharp photos and a small protocol; the process works in it."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    Path("photos").mkdir()
+    for name in ("a", "b"):
+        write_image(f"photos/{name}.png", 0.1 + 0.8 * np.kron(rng.random((20, 21, 3)), np.ones((8, 8, 1))))
+    Path("tiny.toml").write_text(TINY)
+    return tmp_path
+
+
+CEP = ("bench", "cep", "--data", "photos", "--protocol", "tiny.toml", "--designs", "open,dnf,oracle", "--workers", "1")
+
+
+def untouchable(*_arguments):
+    pytest.fail("a finished cell was made again")
+
+
+def test_from_photos_to_every_output_and_found_again(cep, studio, monkeypatch):
+    found = cep.succeeds(*CEP, "-o", "out")
+    assert list(found["tables"]) == TABLES
+    rows = found["tables"][TABLES[1]]
+    assert list(rows) == [DESIGNS[name].label for name in ("open", "dnf", "oracle")]
+    assert rows[DESIGNS["oracle"].label]["psnr_db"]["n"] == 2
+    assert (found["protocol"], found["designs"], found["failures"], found["missing"]) == (
+        "tiny", ["open", "dnf", "oracle"], {}, 0,
+    )  # fmt: skip
+    assert found["warnings"] == ["2 photos are large enough, the protocol asks for 3"]
+    names = ["cep-photos.csv", "cep.csv", "cep.json", "cep.md", "cep.png"]
+    assert [Path(file).name for file in found["files"]] == names
+    with open("out/cep-photos.csv", newline="", encoding="utf-8") as stream:
+        shots = list(csv.DictReader(stream))
+    assert len(shots) == 3 * 2 * 2
+    own = [shot for shot in shots if (shot["design"], shot["photons"]) == ("oracle", "10000")]
+    mean = np.mean([float(shot["psnr_db"]) for shot in own])
+    assert rows[DESIGNS["oracle"].label]["psnr_db"]["mean"] == pytest.approx(mean, rel=1e-5)
+    assert all(6 <= ShutterCode(shot["bits"]).open_chips <= 10 for shot in shots if shot["design"] != "open")
+    kept = json.loads(Path("out/cep.json").read_text())
+    assert kept["command"] == "cep bench cep --data photos --protocol tiny.toml --designs open,dnf,oracle"
+    assert (kept["seed"], kept["machines"][0]["versions"]["numpy"]) == (0, np.__version__)
+    text = Path("out/cep.md").read_text()
+    assert "16 chips" in text
+    assert str(studio) not in text + Path("out/cep.json").read_text()
+    height, width = read_image("out/cep.png").shape[:2]
+    assert min(height, width) > 300
+
+    assert "exists already" in cep.refuses(*CEP, "-o", "out")
+    monkeypatch.setattr("cep.bench.engine.worked", untouchable)
+    assert cep.succeeds(*CEP, "-o", "out", "--force")["tables"] == found["tables"]
+
+
+def test_stopped_in_a_search_it_goes_on_later(cep, studio, monkeypatch):
+    real, calls = designs.anneal, []
+
+    def stopping(problem, **options):
+        def stop(_fraction, _best):
+            if len(calls) == 2:
+                raise KeyboardInterrupt
+
+        calls.append(problem)
+        return real(problem, progress=stop, **options)
+
+    monkeypatch.setattr(designs, "anneal", stopping)
+    options = ("--designs", "oracle", "--quick", "-o", "out")
+    Path("tiny.toml").write_text(TINY.replace("quick_motions = 1", "quick_motions = 2"))
+    found = cep.succeeds(*CEP, *options)
+    assert (found["missing"], found["tables"]) == (1, {})
+    assert any("stopped early" in warning and "--force goes on" in warning for warning in found["warnings"])
+    assert "stopped early" in Path("out/cep.md").read_text()
+    whole = cep.succeeds(*CEP, *options, "--force")
+    assert whole["missing"] == 0
+    assert len(calls) == 3  # the one before Ctrl-C is kept, the one that was stopped is made whole
+
+
+def test_people_see_tables_and_where_the_files_are(cep, studio, monkeypatch):
+    monkeypatch.setattr("cep.bench.photos.bundled_photos", lambda: (Path("photos/a.png"),))
+    cep("bench", "cep", "--protocol", "tiny.toml", "--designs", "open", "--quick", "--workers", "1", "-o", "out")
+    assert cep.code == 0, cep.err
+    assert TABLES[2] in cep.out
+    assert "PSNR, dB" in cep.out
+    assert "out: cep-photos.csv" in cep.out
+    assert "too few and too odd for a claim" in cep.err
+    assert "`cep bench cep --protocol tiny.toml --designs open --quick`" in Path("out/cep.md").read_text()
+
+
+def small():
+    Path("small").mkdir()
+    write_image("small/c.png", np.random.default_rng(0).random((158, 180)))
+
+
+def wrong():
+    Path("wrong.toml").write_text(TINY.replace("chips = 16", "chips = 9"))
+
+
+def notes():
+    Path("notes").write_text("no folder")
+
+
+@pytest.mark.parametrize(
+    ("options", "prepared", "message"),
+    [
+        (("--designs", "open,theirs"), None, "designs: must be among open, snapshot"),
+        (("--designs", "open,open"), None, "designs: each must come once"),
+        (("--protocol", "theirs"), None, "protocol: must be one of paper, ours or a .toml file"),
+        (("--protocol", "nowhere.toml"), None, "nowhere.toml: no such file"),
+        (("--protocol", "wrong.toml"), wrong, "wrong.toml: open_range: must be two numbers of chips within 1..9"),
+        (("--data", "nowhere"), None, "nowhere: no such folder"),
+        (("--data", "small"), small, "c.png: 180 x 158 px is too small, the protocol needs 159 px a side"),
+        (("--cache", "notes"), notes, "notes: is a file"),
+        (("-o", "notes"), notes, "notes: is a file"),
+        (("--workers", "0"), None, "--workers"),
+    ],
+)
+def test_refusals(cep, studio, monkeypatch, options, prepared, message):
+    if prepared is not None:
+        prepared()
+    monkeypatch.setattr("cep.bench.engine.worked", untouchable)
+    assert message in cep.refuses(*CEP, "-o", "out", *options)
+    assert not Path("out/cep.md").exists()
