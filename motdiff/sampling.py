@@ -11,7 +11,7 @@ from torch.nn import functional
 from motdiff.diffusion import Schedule, from_signal, samples, to_signal
 from motdiff.network import MotDiffNetwork
 
-__all__ = ["PathSamples", "psfs_of_maps", "sample_paths"]
+__all__ = ["PathSamples", "psf_signals", "psfs_of_maps", "psfs_of_signals", "sample_paths"]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def sample_paths(
     Parameters
     ----------
     network : MotDiffNetwork
-        In eval mode.
+        In eval mode. One of PSFs gives them as `path`, for :func:`psfs_of_signals`.
     condition : (B, C, h, w) float
         From ``network.condition``: computed once, used at every step.
     count : int
@@ -60,7 +60,7 @@ def sample_paths(
     """
     batch, _, height, width = condition.shape
     repeated = condition.repeat_interleave(count, dim=0)
-    speeds = condition.new_ones(batch * count, 1, 4 * height, 4 * width)
+    speeds = condition.new_ones(batch * count, 1, network.pitch * height, network.pitch * width)
 
     def predict_x0(x_t: Tensor, t: Tensor) -> Tensor:
         nonlocal speeds
@@ -79,7 +79,7 @@ def sample_paths(
         eta=eta,
         device=condition.device,
     )
-    shape = (batch, count, 4 * height, 4 * width)
+    shape = (batch, count, *speeds.shape[-2:])
     return PathSamples(from_signal(signal).view(shape), speeds.float().view(shape))
 
 
@@ -100,3 +100,17 @@ def psfs_of_maps(maps: Tensor) -> Tensor:
     total = psfs.sum(dim=(1, 2), keepdim=True)
     psfs = torch.where(total > 1e-6, psfs / total.clamp(min=1e-6), point)
     return psfs.reshape(*lead, *psfs.shape[-2:])
+
+
+def psf_signals(psfs: Tensor) -> Tensor:
+    """PSFs (..., S, S) as what is diffused, 0..1: the root of each over its peak.
+
+    Kernel-Diff diffuses PSFs of sum 1, most of which lie within a hundredth of 0; the root uses the range.
+    """
+    return (psfs / psfs.amax(dim=(-2, -1), keepdim=True).clamp(min=1e-12)).sqrt()
+
+
+def psfs_of_signals(signals: Tensor) -> Tensor:
+    """PSFs (..., S, S), sum 1, of signals 0..1: undoes :func:`psf_signals`."""
+    light = signals.square()
+    return light / light.sum(dim=(-2, -1), keepdim=True).clamp(min=1e-12)

@@ -16,7 +16,7 @@ from motdiff.metrics import mnc_subpixel
 from motdiff.tracing import trace_psf_to_trajectory
 from motdiff.trajectory import Trajectory
 
-__all__ = ["Found", "KernelSearch", "estimate_blind"]
+__all__ = ["Found", "KernelSearch", "estimate_blind", "without_faint_parts"]
 
 FloatArray = NDArray[np.float64]
 
@@ -163,7 +163,7 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
     for i in np.argsort(-found.probabilities):
         if len(chosen) < _MOST_MOTIONS and all(mnc_subpixel(kernels[i], kernels[j]) < _SAME_MNC for j in chosen):
             chosen.append(int(i))
-    trajectories = [trace_psf_to_trajectory(_without_faint_parts(kernels[i])) for i in chosen]
+    trajectories = [trace_psf_to_trajectory(without_faint_parts(kernels[i])) for i in chosen]
     if level.factor > 1:
         trajectories = [trajectory.scaled(level.factor) for trajectory in trajectories]
     weights = found.probabilities[chosen] / found.probabilities[chosen].sum()
@@ -192,8 +192,18 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
     )
 
 
-def _without_faint_parts(kernel: FloatArray) -> FloatArray:
-    """Kernel without what is below 5 % of its peak: noise there draws side branches that lengthen the path."""
+def without_faint_parts(kernel: FloatArray) -> FloatArray:
+    """Drop what is below 5 % of the peak, and specks: noise there draws side branches that lengthen the path.
+
+    Parameters
+    ----------
+    kernel : (k, k) float
+        Non-negative, with some light.
+
+    Returns
+    -------
+    (k, k) float, sum 1
+    """
     kept = np.where(kernel < _FAINT * kernel.max(), 0.0, kernel)
     label, count = ndimage.label(kept, structure=np.ones((3, 3)))
     light = ndimage.sum_labels(kept, label, np.arange(count + 1))

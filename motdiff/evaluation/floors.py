@@ -5,6 +5,7 @@ MNC subtracts no mean, so a blob that knows nothing scores 0.4 to 0.6. A figure 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,12 +14,13 @@ from scipy import fft
 
 from motdiff.evaluation.sets import PSF_PX, Case
 from motdiff.gyro import read_gyro
+from motdiff.quadratic import most_alike_quadratic
 from motdiff.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from motdiff.training.motion_bank import MotionMix
 
-__all__ = ["ceilings", "delta", "floors", "gaussian", "mean_kernel", "path_kernel"]
+__all__ = ["ceilings", "delta", "floors", "gaussian", "mean_kernel", "mean_psf", "path_kernel", "quadratic_kernel"]
 
 FloatArray = NDArray[np.float64]
 
@@ -43,11 +45,7 @@ def gaussian(sigma_px: float = _SIGMA_PX, size: int = PSF_PX) -> FloatArray:
 
 
 def mean_kernel(mix: MotionMix, *, seed: int, count: int = _OTHERS) -> FloatArray:
-    """Mean PSF (64, 64) of ``count`` other motions of the mix, sum 1, its centroid at index 32 to whole pixels.
-
-    MNC is blind to shifts, so each motion is laid where it is most like the others (three rounds of registration to the
-    mean). With the centroids on each other instead, shakes that dwell in one place average to a blur: over 60 gyro
-    motions 0.40 instead of 0.53, a floor that is too easy to beat.
+    """:func:`mean_psf` of ``count`` other motions of the mix, (64, 64).
 
     Parameters
     ----------
@@ -58,16 +56,26 @@ def mean_kernel(mix: MotionMix, *, seed: int, count: int = _OTHERS) -> FloatArra
 
     trace = read_gyro(mix.gyro_trace) if mix.gyro > 0 else None
     rngs = (np.random.default_rng([_STREAM, seed, i]) for i in range(count))
-    room = PSF_PX // 2
-    psfs = np.pad([draw_motion(mix, rng, trace).psf(PSF_PX) for rng in rngs], [(0, 0), (room, room), (room, room)])
-    spectra = fft.rfft2(psfs)
-    mean = psfs.mean(axis=0)
+    return mean_psf([draw_motion(mix, rng, trace).psf(PSF_PX) for rng in rngs])
+
+
+def mean_psf(psfs: Sequence[FloatArray]) -> FloatArray:
+    """Mean of PSFs (S, S) of even size, sum 1, its centroid at index ``S // 2`` to whole pixels.
+
+    MNC is blind to shifts, so each motion is laid where it is most like the others (three rounds of registration to the
+    mean). With the centroids on each other instead, shakes that dwell in one place average to a blur: over 60 gyro
+    motions 0.40 instead of 0.53, a floor that is too easy to beat.
+    """
+    size, room = len(psfs[0]), len(psfs[0]) // 2
+    padded = np.pad(np.asarray(psfs), [(0, 0), (room, room), (room, room)])
+    spectra = fft.rfft2(padded)
+    mean = padded.mean(axis=0)
     for _ in range(_ROUNDS):
         lags = fft.irfft2(fft.rfft2(mean) * spectra.conj(), s=mean.shape)
-        peaks = lags.reshape(count, -1).argmax(axis=1)
+        peaks = lags.reshape(len(padded), -1).argmax(axis=1)
         moves = zip(*np.unravel_index(peaks, mean.shape), strict=True)
-        mean = np.mean([np.roll(psf, move, axis=(0, 1)) for psf, move in zip(psfs, moves, strict=True)], axis=0)
-    at = np.arange(2 * PSF_PX) - PSF_PX
+        mean = np.mean([np.roll(psf, move, axis=(0, 1)) for psf, move in zip(padded, moves, strict=True)], axis=0)
+    at = np.arange(2 * size) - size
     offsets = [-round(float(at @ mean.sum(axis=1 - axis))) for axis in (0, 1)]
     framed = np.roll(mean, offsets, axis=(0, 1))[room:-room, room:-room]
     return np.asarray(framed / framed.sum(), dtype=np.float64)
@@ -90,6 +98,12 @@ def path_kernel(trajectory: Trajectory) -> FloatArray:
     return np.asarray(psfs_of_maps(torch.from_numpy(trajectory.hr_map().astype(np.float64))), dtype=np.float64)
 
 
+def quadratic_kernel(trajectory: Trajectory) -> FloatArray:
+    """PSF, 64 px or larger, of the quadratic path whose PSF is most like the trajectory's (2 CPU-s)."""
+    quadratic = most_alike_quadratic(trajectory, size=PSF_PX).trajectory()
+    return quadratic.psf(max(PSF_PX, quadratic.frame_size()))
+
+
 def floors(mean: FloatArray | None = None) -> dict[str, FloatArray]:
     """Kernels that know nothing of the photo, by name: "delta", "gaussian" and, where it is given, "mean-kernel".
 
@@ -103,6 +117,15 @@ def floors(mean: FloatArray | None = None) -> dict[str, FloatArray]:
 
 
 def ceilings(case: Case) -> dict[str, FloatArray]:
-    """Kernels that know everything, by name: "true-path", where the trajectory is known, and "true-kernel"."""
-    path = {} if case.trajectory is None else {"true-path": path_kernel(case.trajectory)}
-    return {**path, "true-kernel": case.psf}
+    """Kernels that know everything, by name; the last is "true-kernel".
+
+    Where the trajectory is known, "best-quadratic" and "true-path" come before it: all that a quadratic path, or a path
+    without dwell, can tell.
+    """
+    if case.trajectory is None:
+        return {"true-kernel": case.psf}
+    return {
+        "best-quadratic": quadratic_kernel(case.trajectory),
+        "true-path": path_kernel(case.trajectory),
+        "true-kernel": case.psf,
+    }

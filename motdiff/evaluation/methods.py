@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,10 +11,16 @@ from numpy.typing import NDArray
 
 from motdiff.estimators.base import Estimator, MotionEstimate
 
-__all__ = ["METHODS", "NetworkAlone", "named_estimators"]
+__all__ = ["METHODS", "SLOW_METHODS", "NetworkAlone", "named_estimators"]
 
-METHODS = ("pmp", "motdiff", "motdiff-quick", "network")
-"""Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``."""
+SLOW_METHODS = ("selfdeblur", "blinddps")
+"""Hours per photo on a CPU: run only where they are named."""
+
+METHODS = ("pmp", "motdiff", "motdiff-quick", "network", "parametric", "psf-diffusion", *SLOW_METHODS)
+"""Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS``, ``selfdeblur:ITERATIONS``,
+and ``blinddps:FOLDER`` of weights, without which blinddps tells only what it needs."""
+
+_FIXED = ("pmp", "parametric", "psf-diffusion", *SLOW_METHODS)  # which the weights of MoTDiff do not change
 
 
 class NetworkAlone:
@@ -90,16 +97,14 @@ def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> di
     """
     if unknown := [name for name in methods if name.split(":")[0] not in METHODS]:
         raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {unknown[0]!r}")
-    if weights and set(methods) <= {"pmp"}:
+    if weights and {name.split(":")[0] for name in methods} <= set(_FIXED):
         raise ValueError("weights: are for the methods motdiff and network, which were not asked for")
     if missing := [path for path in weights if not path.is_file()]:
         raise FileNotFoundError(f"{missing[0]}: no such file of weights")
     named: list[tuple[str, Estimator]] = []
     for method in dict.fromkeys(methods):
-        if method == "pmp":
-            from motdiff.estimators.pmp import PmpEstimator
-
-            named.append(("pmp", PmpEstimator()))
+        if method in _FIXED or method.split(":")[0] in ("psf-diffusion", *SLOW_METHODS):
+            named.append((method, _fixed(method)))
             continue
         for path in weights or (None,):
             name = method if path is None else path.stem if method == "motdiff" else f"{path.stem} {method}"
@@ -108,6 +113,44 @@ def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> di
     if len(estimators) < len(named):
         raise ValueError(f"weights: need different file names, the tables would show {[name for name, _ in named]}")
     return estimators
+
+
+def _fixed(method: str) -> Estimator:
+    name, _, told = method.partition(":")
+    if name == "selfdeblur":
+        return _selfdeblur(told)
+    if name == "blinddps":
+        from motdiff.estimators.blinddps import BlindDpsEstimator
+
+        return BlindDpsEstimator(told or None)
+    if method == "parametric":
+        from motdiff.estimators.parametric import ParametricEstimator
+
+        return ParametricEstimator()
+    if name == "psf-diffusion":
+        return _psf_diffusion(told)
+    from motdiff.estimators.pmp import PmpEstimator
+
+    return PmpEstimator()
+
+
+def _psf_diffusion(steps: str) -> Estimator:
+    from motdiff.estimators.psf_diffusion import PsfDiffusionEstimator
+
+    if steps and not steps.isdigit():
+        raise ValueError(f"method: must be psf-diffusion or psf-diffusion:STEPS, got {'psf-diffusion:' + steps!r}")
+    return PsfDiffusionEstimator(steps=int(steps)) if steps else PsfDiffusionEstimator()
+
+
+def _selfdeblur(iterations: str) -> Estimator:
+    from motdiff.estimators.selfdeblur import SelfDeblurConfig, SelfDeblurEstimator
+
+    if iterations and not iterations.isdigit():
+        raise ValueError(f"method: must be selfdeblur or selfdeblur:ITERATIONS, got {'selfdeblur:' + iterations!r}")
+    config = SelfDeblurConfig(iterations=int(iterations)) if iterations else SelfDeblurConfig()
+    # an evaluation that is stopped after hours goes on in the middle of its photo
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return SelfDeblurEstimator(config=config, checkpoints=cache / "motdiff" / "selfdeblur")
 
 
 def _of_network(method: str, weights: Path | None) -> Estimator:

@@ -17,7 +17,18 @@ from motdiff.trajectory import Trajectory
 if TYPE_CHECKING:
     from motdiff.training.motion_bank import MotionMix
 
-__all__ = ["PSF_PX", "RECIPES", "Borders", "Case", "Recipe", "least_side_px", "levin", "load_scenes", "simulated"]
+__all__ = [
+    "PSF_PX",
+    "RECIPES",
+    "Borders",
+    "Case",
+    "Recipe",
+    "least_side_px",
+    "levin",
+    "levin_photo",
+    "load_scenes",
+    "simulated",
+]
 
 FloatArray = NDArray[np.float64]
 Borders = Literal["real", "symmetric"]
@@ -209,18 +220,32 @@ def levin(folder: Path | str) -> Iterator[Case]:
     ----------
     Levin, Weiss, Durand, Freeman, "Understanding and evaluating blind deconvolution algorithms", CVPR 2009.
     """
-    from scipy.io import loadmat
-
     paths = sorted(Path(folder).glob("*.mat"))
     if not paths:
         raise ValueError(f"{folder}: holds no .mat file")
     for path in paths:
+        yield levin_photo(path)
+
+
+def levin_photo(path: Path) -> Case:
+    """Read one file of :func:`levin`.
+
+    Raises
+    ------
+    ValueError
+        If it is no ``.mat`` file, or lacks a variable.
+    """
+    from scipy.io import loadmat
+
+    try:
         data = loadmat(path)
-        if missing := [name for name in "xyf" if name not in data]:
-            raise ValueError(f"{path}: lacks the variable {missing[0]}; wanted x (sharp), y (blurred) and f (kernel)")
-        sharp, blurred, kernel = (np.asarray(data[name], dtype=np.float64) for name in "xyf")
-        psf = np.rot90(kernel, 2)
-        yield Case(path.stem, np.clip(blurred, 0, 1), psf / psf.sum(), sharp)
+    except (ValueError, TypeError, NotImplementedError) as error:
+        raise ValueError(f"{path}: cannot be read as a .mat file ({' '.join(str(error).split())})") from None
+    if missing := [name for name in "xyf" if name not in data]:
+        raise ValueError(f"{path}: lacks the variable {missing[0]}; wanted x (sharp), y (blurred) and f (kernel)")
+    sharp, blurred, kernel = (np.asarray(data[name], dtype=np.float64) for name in "xyf")
+    psf = np.rot90(kernel, 2)
+    return Case(path.stem, np.clip(blurred, 0, 1), psf / psf.sum(), sharp)
 
 
 def _light(crop: NDArray[Any]) -> FloatArray:

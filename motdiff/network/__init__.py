@@ -1,6 +1,15 @@
-"""The MoTDiff network: a blurred photo (or physics maps of it) conditions a small diffusion denoiser of path maps."""
+"""The MoTDiff network: a blurred photo (or physics maps of it) conditions a small diffusion denoiser of path maps.
+
+Two baselines draw from the same condition: a denoiser of PSFs, and one quadratic path.
+"""
 
 from motdiff.network.config import NetworkConfig
 from motdiff.network.model import MotDiffNetwork
+from motdiff.network.path import PathNetwork
 
-__all__ = ["MotDiffNetwork", "NetworkConfig"]
+__all__ = ["MotDiffNetwork", "NetworkConfig", "PathNetwork", "build_network"]
+
+
+def build_network(config: NetworkConfig) -> MotDiffNetwork | PathNetwork:
+    """Build the network for the target that the configuration names, with random weights."""
+    return PathNetwork(config) if config.target == "path" else MotDiffNetwork(config)

@@ -6,18 +6,22 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-__all__ = ["BACKBONES", "FEATURES", "NetworkConfig"]
+__all__ = ["BACKBONES", "FEATURES", "TARGETS", "NetworkConfig"]
 
 BACKBONES = ("b0", "b1", "b2", "b3", "b4", "b5", "none")
 FEATURES = ("multi", "f2", "f4")
+TARGETS = ("map", "psf", "path")
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Sizes of a `MotDiffNetwork`.
+    """What a network draws, and its sizes.
 
     Parameters
     ----------
+    target : str
+        "map": diffusion of HR path maps, MoTDiff. "psf" and "path" are the baselines over the same condition: diffusion
+        of 64x64 PSFs, and one quadratic path predicted at once, without a denoiser.
     backbone : str
         Size of the PVT v2 photo encoder, "b0".."b5"; "none": no photo encoder, physics maps only.
     features : str
@@ -49,6 +53,7 @@ class NetworkConfig:
         If a field is out of range; the message starts with its name.
     """
 
+    target: str = "map"
     backbone: str = "b0"
     features: str = "multi"
     width: int = 64
@@ -63,6 +68,7 @@ class NetworkConfig:
     time_width: int = 128
 
     def __post_init__(self) -> None:
+        _choice("target", self.target, TARGETS)
         _choice("backbone", self.backbone, BACKBONES)
         _choice("features", self.features, FEATURES)
         _multiple("width", self.width, 1)
@@ -80,6 +86,10 @@ class NetworkConfig:
         _choice("physics_patch", self.physics_patch, (1, 2))
         _choice("dwell", self.dwell, (False, True))
         _multiple("time_width", self.time_width, 2)
+        if self.dwell and self.target != "map":
+            raise ValueError(
+                f"dwell is True; it must be False for target {self.target!r}, which holds the time already"
+            )
         if self.backbone == "none" and self.physics_channels == 0:
             raise ValueError("physics_channels is 0; a network without a photo encoder (backbone 'none') needs some")
 

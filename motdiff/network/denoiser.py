@@ -38,6 +38,8 @@ class Denoiser(nn.Module):
         Dropout probability before the output layer.
     time_width : int
         Channels of the timestep's embedding, even.
+    pitch : int
+        Map pixels per condition pixel: 4; or 1 for maps on the condition's own grid, without stride and PixelShuffle.
 
     References
     ----------
@@ -53,17 +55,20 @@ class Denoiser(nn.Module):
         outputs: int = 1,
         dropout: float = 0.1,
         time_width: int = 128,
+        pitch: int = 4,
     ) -> None:
         super().__init__()
+        self.pitch = pitch
+        grow = {4: 2, 1: 1}[pitch]  # of each decoding block
         self.time = _TimeNetwork(time_width)
-        self.enter = nn.Conv2d(1, width, 7, 4, 3)
+        self.enter = nn.Conv2d(1, width, 7, pitch, 3)
         self.residual = _ResidualBlock(width, time_width)
         self.leave = nn.Conv2d(width, width, 3, 1, 1)
         self.mid = nn.Conv2d(width + condition_channels, width, 1)
         self.mid_modulation = _Modulation(time_width, width)
         self.decode = nn.Sequential(
-            *(nn.PixelShuffle(2), nn.Conv2d(width // 4, decoder_widths[0], 3, 1, 1), nn.ReLU()),
-            *(nn.PixelShuffle(2), nn.Conv2d(decoder_widths[0] // 4, decoder_widths[1], 3, 1, 1), nn.ReLU()),
+            *(nn.PixelShuffle(grow), nn.Conv2d(width // grow**2, decoder_widths[0], 3, 1, 1), nn.ReLU()),
+            *(nn.PixelShuffle(grow), nn.Conv2d(decoder_widths[0] // grow**2, decoder_widths[1], 3, 1, 1), nn.ReLU()),
         )
         self.output = nn.Sequential(nn.Dropout(dropout), _output_layer(decoder_widths[1], outputs))
 
@@ -76,7 +81,7 @@ class Denoiser(nn.Module):
             Noisy map.
         t : (B,) int64
             Timestep, 0..999.
-        condition : (B, C, H / 4, W / 4) float
+        condition : (B, C, H / pitch, W / pitch) float
             Condition.
 
         Returns
@@ -89,8 +94,8 @@ class Denoiser(nn.Module):
             If the shapes do not belong together.
         """
         batch, _, height, width = condition.shape
-        if x_t.shape != (batch, 1, 4 * height, 4 * width):
-            wanted = (batch, 1, 4 * height, 4 * width)
+        wanted = (batch, 1, self.pitch * height, self.pitch * width)
+        if x_t.shape != wanted:
             raise ValueError(f"x_t has shape {tuple(x_t.shape)}; with this condition it must be {wanted}")
         if t.shape != (batch,):
             raise ValueError(f"t has shape {tuple(t.shape)}; it must be ({batch},), one timestep per map")

@@ -114,6 +114,8 @@ class OptimiserConfig:
         ones are cheaper: the denoiser is local, the condition always sees everything.
     compile : bool
         Whether torch.compile is used.
+    start : str
+        Weights file whose condition network the run starts from; "" for random weights.
     seed : int
     """
 
@@ -127,6 +129,7 @@ class OptimiserConfig:
     precision: str = "fp32"
     window: int = 64
     compile: bool = False
+    start: str = ""
     seed: int = 0
 
     def __post_init__(self) -> None:

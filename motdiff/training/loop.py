@@ -15,10 +15,12 @@ from torch import Tensor, nn
 
 from motdiff.diffusion import Schedule, cosine_schedule, q_sample, stochastic_trajectory_pixel_dropout, to_signal
 from motdiff.losses import denoising_loss, dwell_loss, structure_loss
-from motdiff.network import MotDiffNetwork
+from motdiff.network import build_network
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from motdiff.training.config import LossConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch, BatchSource, seed_of
+from motdiff.training.targets import path_loss, psf_batch
+from motdiff.weights import load_condition
 
 __all__ = ["Losses", "Trainer", "learning_rate", "loss_of"]
 
@@ -55,9 +57,9 @@ class Trainer:
 
     Attributes
     ----------
-    network : MotDiffNetwork
+    network : MotDiffNetwork or PathNetwork
         Being trained.
-    average : MotDiffNetwork
+    average : MotDiffNetwork or PathNetwork
         Exponential average of its weights: the one to use.
     step : int
         Updates done.
@@ -71,8 +73,10 @@ class Trainer:
         self.config, self.device = config, torch.device(device)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.optimiser.seed)
-            self.network = MotDiffNetwork(config.network)
-            self.average = MotDiffNetwork(config.network)
+            self.network = build_network(config.network)
+            self.average = build_network(config.network)
+        if config.optimiser.start:
+            load_condition(self.network, config.optimiser.start)
         self.average.load_state_dict(self.network.state_dict())
         for mine in (self.network, self.average):
             mine.to(self.device)
@@ -109,15 +113,7 @@ class Trainer:
             generator = torch.Generator(self.device)
             generator.manual_seed(seed_of(optimiser.seed, self.step, self._rank, _NOISE))
             with self._precision():
-                path, dwell = loss_of(
-                    self._model,
-                    batch,
-                    self.config.loss,
-                    schedule=self.schedule,
-                    generator=generator,
-                    physics_dropout=self.config.data.physics_dropout,
-                    window=optimiser.window,
-                )
+                path, dwell = self._losses(batch, generator)
             total = path + self.config.loss.dwell * dwell
             self._adam.zero_grad(set_to_none=True)
             total.backward()  # type: ignore[no-untyped-call]
@@ -174,6 +170,22 @@ class Trainer:
         self.step, self.seconds = checkpoint.step, checkpoint.seconds
         return True
 
+    def _losses(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        target, blank = self.config.network.target, self.config.data.physics_dropout
+        if target == "path":
+            physics = _blanked(batch.physics, blank, generator)
+            loss = path_loss(self._model(batch.photo, physics).float(), batch.dwell)
+            return loss, torch.zeros_like(loss)
+        return loss_of(
+            self._model,
+            psf_batch(batch) if target == "psf" else batch,
+            self.config.loss,
+            schedule=self.schedule,
+            generator=generator,
+            physics_dropout=blank,
+            window=self.config.optimiser.window,
+        )
+
     def _precision(self) -> torch.autocast | nullcontext[None]:
         if self.config.optimiser.precision == "bf16":
             return torch.autocast(self.device.type, dtype=torch.bfloat16)
@@ -228,18 +240,16 @@ def loss_of(
     Choi et al., "MoTDiff", arXiv 2510.26173, equations 6 to 8: pixels are dropped before noising, the target is whole.
     """
     device = batch.x0.device
-    size = len(batch.x0)
+    size, pitch = len(batch.x0), batch.x0.shape[-1] // _FIELD_PX
     t = torch.randint(schedule.steps, (size,), generator=generator, device=device)
     signal = to_signal(stochastic_trajectory_pixel_dropout(batch.x0, loss.stpd, generator))
     noise = torch.randn(signal.shape, generator=generator, device=device)
-    physics = batch.physics
-    if physics is not None and physics_dropout > 0:
-        kept = torch.rand(physics.shape[:2], generator=generator, device=device) >= physics_dropout
-        physics = physics * kept[:, :, None, None]
+    physics = _blanked(batch.physics, physics_dropout, generator)
     # paths are centred: windows near the middle see them oftener
     spread = torch.rand(2, 2, generator=generator, device=device).mean(dim=0)
     row, column = (int(share * (_FIELD_PX - window) + 0.5) for share in spread.tolist())
-    part = (..., slice(4 * row, 4 * (row + window)), slice(4 * column, 4 * (column + window)))
+    rows, columns = (slice(pitch * first, pitch * (first + window)) for first in (row, column))
+    part = (..., rows, columns)
     x0, dwell_map = batch.x0[part], batch.dwell[part]
     logits = model(q_sample(schedule, signal[part], t, noise[part]), t, batch.photo, physics, (row, column))
     if loss.kind == "structure":
@@ -248,3 +258,11 @@ def loss_of(
         path = denoising_loss(logits[:, :1], x0)
     dwell = dwell_loss(logits[:, 1:], dwell_map, x0) if logits.shape[1] > 1 else torch.zeros_like(path)
     return path, dwell
+
+
+def _blanked(physics: Tensor | None, share: float, generator: torch.Generator) -> Tensor | None:
+    """Set a share of the physics maps to 0, each by itself."""
+    if physics is None or share == 0:
+        return physics
+    kept = torch.rand(physics.shape[:2], generator=generator, device=physics.device) >= share
+    return physics * kept[:, :, None, None]

@@ -16,7 +16,7 @@ import torch
 
 from motdiff.conditions import QUICK_STARTS
 from motdiff.metrics import mnc
-from motdiff.sampling import psfs_of_maps, sample_paths
+from motdiff.sampling import psfs_of_maps
 from motdiff.training.config import TrainingConfig
 from motdiff.training.data import Batch, BatchSource, LiveSource, PreparedSource, seed_of
 from motdiff.training.log import RunLog
@@ -25,6 +25,7 @@ from motdiff.training.motion_bank import build_bank
 from motdiff.training.photos import load_photos, split_photos
 from motdiff.training.prepared import read_shards
 from motdiff.training.samples import PHOTO_PX
+from motdiff.training.targets import drawn_psfs
 
 __all__ = ["Pace", "Sources", "make_sources", "train", "validation_mnc"]
 
@@ -177,11 +178,8 @@ def validation_mnc(trainer: Trainer, batches: tuple[Batch, ...], *, steps: int =
     generator = torch.Generator(trainer.device).manual_seed(_VALIDATION_SEED)
     with torch.no_grad():
         for batch in batches:
-            condition = network.condition(batch.photo, batch.physics)
-            drawn = sample_paths(
-                network, condition, count=1, schedule=trainer.schedule, steps=steps, generator=generator
-            )
-            found = drawn.psfs()[:, 0].double().cpu().numpy()
+            drawn = drawn_psfs(network, batch, schedule=trainer.schedule, steps=steps, generator=generator)
+            found = drawn.double().cpu().numpy()
             truth = psfs_of_maps(batch.dwell[:, 0]).double().cpu().numpy()
             scores += [mnc(a, b) for a, b in zip(found, truth, strict=True)]
     return float(np.mean(scores))

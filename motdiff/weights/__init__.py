@@ -12,15 +12,32 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from motdiff.files import write_bytes_atomically
-from motdiff.network import MotDiffNetwork, NetworkConfig
+from motdiff.network import MotDiffNetwork, NetworkConfig, PathNetwork, build_network
 from motdiff.training.checkpoint import read_checkpoint
 
-__all__ = ["DEFAULT_WEIGHTS", "export_weights", "load_network", "read_card"]
+__all__ = [
+    "DEFAULT_WEIGHTS",
+    "PATH_WEIGHTS",
+    "PSF_WEIGHTS",
+    "export_weights",
+    "load_condition",
+    "load_network",
+    "load_path_network",
+    "read_card",
+]
 
 DEFAULT_WEIGHTS = Path(__file__).with_name("motdiff.safetensors")
+PATH_WEIGHTS = Path(__file__).with_name("parametric.safetensors")
+PSF_WEIGHTS = Path(__file__).with_name("psf_diffusion.safetensors")
 _SCHEMA = "motdiff.weights/1"
 _OUTPUT_BIAS = "denoiser.output.1.bias"
-_PATHS = (("data", "photos"), ("data", "prepared"), ("data", "prepared_validation"), ("motions", "gyro_trace"))
+_PATHS = (
+    ("data", "photos"),
+    ("data", "prepared"),
+    ("data", "prepared_validation"),
+    ("motions", "gyro_trace"),
+    ("optimiser", "start"),
+)
 
 
 def export_weights(
@@ -45,7 +62,7 @@ def export_weights(
     Raises
     ------
     ValueError
-        If there is no checkpoint, or float16 cannot hold its weights.
+        If there is no checkpoint, float16 cannot hold its weights, or they draw no map that an offset could change.
     """
     found = read_checkpoint(checkpoint)
     if found is None:
@@ -58,9 +75,12 @@ def export_weights(
     for name, tensor in tensors.items():
         if not tensor.isfinite().all():
             raise ValueError(f"{checkpoint}: {name} holds values that float16 cannot, above 65504")
-    bias = tensors[_OUTPUT_BIAS].clone()
-    bias[0] -= offset
-    tensors[_OUTPUT_BIAS] = bias
+    if offset and _OUTPUT_BIAS not in tensors:
+        raise ValueError(f"offset: must be 0 for weights without a denoiser, got {offset:g}")
+    if offset:
+        bias = tensors[_OUTPUT_BIAS].clone()
+        bias[0] -= offset
+        tensors[_OUTPUT_BIAS] = bias
     header = {
         "schema": _SCHEMA,
         "config": json.dumps(_without_folders(found.config)),
@@ -84,17 +104,62 @@ def _without_folders(config: Mapping[str, object]) -> dict[str, object]:
     return sections
 
 
-def load_network(path: Path | str = DEFAULT_WEIGHTS, *, device: str | torch.device = "cpu") -> MotDiffNetwork:
-    """Build the network that a weights file belongs to, in eval mode and float32.
+def load_network(
+    path: Path | str = DEFAULT_WEIGHTS, *, target: str = "map", device: str | torch.device = "cpu"
+) -> MotDiffNetwork:
+    """Build the diffusion network that a weights file belongs to, in eval mode and float32.
+
+    Parameters
+    ----------
+    path : weights file
+    target : {"map", "psf"}
+        What it must draw.
+    device : str or torch.device
 
     Raises
     ------
     ValueError
-        If the file is not one of ours.
+        If the file is not one of ours, or draws something else.
     """
+    network = _loaded(path, device)
+    if not isinstance(network, MotDiffNetwork) or network.config.target != target:
+        raise ValueError(f"{path}: holds a network of target {network.config.target!r}, wanted {target!r}")
+    return network
+
+
+def load_path_network(path: Path | str = PATH_WEIGHTS, *, device: str | torch.device = "cpu") -> PathNetwork:
+    """Build the network of quadratic paths that a weights file belongs to; otherwise as :func:`load_network`."""
+    network = _loaded(path, device)
+    if not isinstance(network, PathNetwork):
+        raise ValueError(f"{path}: holds a network of target {network.config.target!r}, wanted 'path'")
+    return network
+
+
+def load_condition(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
+    """Copy the condition network of a weights file, whatever is drawn from it there, into ``network``.
+
+    Raises
+    ------
+    ValueError
+        If the file is not one of ours, or its condition network has other sizes.
+    """
+    other = _loaded(path, "cpu")
+    mine = network.state_dict()
+    parts = {name: tensor for name, tensor in other.state_dict().items() if _of_condition(name)}
+    expected = {name: tensor.shape for name, tensor in mine.items() if _of_condition(name)}
+    if {name: tensor.shape for name, tensor in parts.items()} != expected:
+        raise ValueError(f"{path}: its condition network has other sizes than the one to start")
+    network.load_state_dict(mine | parts)
+
+
+def _of_condition(name: str) -> bool:
+    return name.split(".")[0] in ("photo", "physics", "fusion")
+
+
+def _loaded(path: Path | str, device: str | torch.device) -> MotDiffNetwork | PathNetwork:
     header = read_card(path)
     try:
-        network = MotDiffNetwork(NetworkConfig.from_dict(header["config"]["network"]))
+        network = build_network(NetworkConfig.from_dict(header["config"]["network"]))
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: its header describes no network known here: {error}") from error
     with safe_open(str(path), framework="pt", device=str(device)) as file:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from motdiff.estimators.blind import Found, _without_faint_parts, estimate_blind
+from motdiff.estimators.blind import Found, estimate_blind, without_faint_parts
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
@@ -238,7 +238,7 @@ def test_distinct_motions_follow_as_alternatives_likeliest_first():
 def test_faint_parts_are_in_the_psf_but_not_in_the_path():
     branch = line(9) + 0.03 * np.roll(line(9, angle_rad=np.pi / 2), 5, axis=0)
     branch /= branch.sum()
-    kept = _without_faint_parts(branch)
+    kept = without_faint_parts(branch)
     np.testing.assert_array_equal(kept > 0, branch >= 0.05 * branch.max())
     assert kept.sum() == pytest.approx(1)
     estimate, _ = found_in(noise(100, 100), FakeSearch((branch, 0.9)))
@@ -251,10 +251,10 @@ def test_faint_parts_are_in_the_psf_but_not_in_the_path():
 def test_specks_are_not_part_of_the_path():
     speck = line(9)
     speck[4, 4] = 0.3 * speck.max()
-    np.testing.assert_allclose(_without_faint_parts(speck), np.where(speck < 0.05 * speck.max(), 0, line(9)), atol=0.01)
-    assert _without_faint_parts(speck)[4, 4] == 0
+    np.testing.assert_allclose(without_faint_parts(speck), np.where(speck < 0.05 * speck.max(), 0, line(9)), atol=0.01)
+    assert without_faint_parts(speck)[4, 4] == 0
     two = line(9) + np.roll(line(9), 12, axis=0)  # as bright as each other: both are the motion's
-    np.testing.assert_array_equal(_without_faint_parts(two) > 0, two >= 0.05 * two.max())
+    np.testing.assert_array_equal(without_faint_parts(two) > 0, two >= 0.05 * two.max())
     speck /= speck.sum()
     estimate, _ = found_in(noise(100, 100), FakeSearch((speck, 0.9)))
     plain, _ = found_in(noise(100, 100))

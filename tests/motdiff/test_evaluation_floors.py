@@ -90,6 +90,8 @@ def test_what_is_not_known_is_left_out():
     assert list(floors(gaussian())) == ["delta", "gaussian", "mean-kernel"]
     photo = np.zeros((8, 8))
     assert list(ceilings(Case("a", photo, psf))) == ["true-kernel"]
-    known = ceilings(Case("a", photo, psf, trajectory=Trajectory.straight(5.0)))
-    assert list(known) == ["true-path", "true-kernel"]
+    motion = Trajectory.straight(5.0)
+    known = ceilings(Case("a", photo, psf, trajectory=motion))
+    assert list(known) == ["best-quadratic", "true-path", "true-kernel"]
+    assert mnc_subpixel(known["best-quadratic"], motion.psf()) == pytest.approx(1)
     assert known["true-kernel"] is psf

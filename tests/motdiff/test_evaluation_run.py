@@ -16,7 +16,7 @@ from motdiff.evaluation.floors import gaussian
 from motdiff.evaluation.methods import named_estimators
 from motdiff.trajectory import Trajectory
 
-FLOORS, CEILINGS = ["delta", "gaussian", "mean-kernel"], ["true-path", "true-kernel"]
+FLOORS, CEILINGS = ["delta", "gaussian", "mean-kernel"], ["best-quadratic", "true-path", "true-kernel"]
 
 
 def quick(calls_until_stop=None, fails_at=None):
@@ -70,7 +70,7 @@ def test_tables_rows_and_pictures(evaluate, tmp_path, capsys):
     assert evaluate("--set", "paper", "--set", "boracchi-foi", "--count", "2", "--no-restore") == 0
     told = capsys.readouterr()
     methods = [*FLOORS, "pmp", *CEILINGS]
-    assert [line.split()[0] for line in told.out.splitlines()[:7]] == ["paper", *methods]
+    assert [line.split()[0] for line in told.out.splitlines()[:8]] == ["paper", *methods]
     assert "boracchi-foi" in told.out
     assert "confidence" in told.out
     assert "paper 2/2  pmp  MNC" in told.err

@@ -82,7 +82,7 @@ def photo_of(motion, height=128, width=128, *, seed=0):
 class Oracle:
     """Knows the motion in a photo, and how it lies when that photo is turned or mirrored."""
 
-    physics, photo = None, True
+    physics, photo, pitch = None, True, 4
 
     def __init__(self, motion, *, logit=40.0, dwell=None):
         self.logit, self.dwell = logit, dwell
@@ -208,7 +208,7 @@ def test_a_small_crop_is_mirrored_outwards(shape):
 class Blind:
     """A network of physics maps alone; notes what it is shown."""
 
-    physics, photo = True, None
+    physics, photo, pitch = True, None, 4
 
     def __init__(self):
         self.shown = []

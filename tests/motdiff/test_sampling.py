@@ -31,6 +31,8 @@ def draw(network, condition, **options):
 class Oracle:
     """Knows the map of each condition, which is a constant that numbers its photo; notes what it is asked."""
 
+    pitch = 4
+
     def __init__(self, maps, dwell=None):
         self.maps, self.dwell, self.calls = maps, dwell, []
 

@@ -302,6 +302,8 @@ def test_a_perfect_network_is_validated_as_one(prepared):
     (batch,) = sources.validation
 
     class Oracle:
+        pitch = 4
+
         def condition(self, photo, physics):
             return torch.zeros(len(physics), 1, 64, 64)
 

@@ -1,0 +1,77 @@
+"""The weights file: network and code together, with its card in the header."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from safetensors import safe_open
+from safetensors.torch import save
+
+from cep.baselines.dce.binarise import code_of
+from cep.baselines.dce.card import SCHEMA, read_card
+from cep.baselines.dce.network import RestorationNetwork
+from motdiff.files import write_bytes_atomically
+from motdiff.training.checkpoint import read_checkpoint
+
+__all__ = ["export_weights", "load_network"]
+
+_MODEL = "model."
+
+
+def export_weights(checkpoint: Path | str, target: Path | str, *, notes: Mapping[str, object] | None = None) -> int:
+    """Write a run's network as float16, and its code, as one .safetensors file; returns its bytes.
+
+    Parameters
+    ----------
+    checkpoint : folder of a checkpoint
+    target : .safetensors file to write
+    notes : mapping, optional
+        What else the card should say: data, figures.
+
+    Raises
+    ------
+    ValueError
+        If there is no checkpoint, or float16 cannot hold its weights.
+    """
+    found = read_checkpoint(checkpoint)
+    if found is None:
+        raise ValueError(f"{checkpoint}: holds no checkpoint")
+    tensors = {
+        name.removeprefix(_MODEL): value.half() for name, value in found.tensors.items() if name.startswith(_MODEL)
+    }
+    if wrong := next((name for name, value in tensors.items() if not value.isfinite().all()), None):
+        raise ValueError(f"{checkpoint}: {wrong} holds values that float16 cannot, above 65504")
+    card = {
+        "bits": code_of(found.tensors["code"]).bits,
+        "settings": found.config,
+        "steps": found.step,
+        "seconds": round(found.seconds),
+        "notes": dict(notes or {}),
+    }
+    # safetensors shuffles a header's entries: one alone gives the same bytes for the same run
+    data = save({name: value.contiguous() for name, value in tensors.items()}, {SCHEMA: json.dumps(card)})
+    write_bytes_atomically(Path(target), data)
+    return len(data)
+
+
+def load_network(path: Path | str) -> RestorationNetwork:
+    """Build the network of a weights file, in eval mode and float32.
+
+    Raises
+    ------
+    ValueError
+        If the file is not one of ours.
+    """
+    read_card(path)
+    with safe_open(str(path), framework="pt") as file:
+        state = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118, not a dict
+    network = RestorationNetwork()
+    try:
+        network.load_state_dict(state)
+    except RuntimeError as error:
+        raise ValueError(f"{path}: its tensors do not fit the network") from error
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network.eval().requires_grad_(False)

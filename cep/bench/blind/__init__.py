@@ -1,0 +1,1 @@
+"""The blind table: every estimator on the same blurred photos, beside kernels that know nothing or everything."""

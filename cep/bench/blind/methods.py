@@ -1,0 +1,102 @@
+"""Which estimators a blind table has, and when what was measured of one counts no longer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cep.bench.blind.work import CEILINGS, FLOORS
+from cep.bench.sources import source_version
+from motdiff.evaluation.methods import named_estimators
+from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS, PSF_WEIGHTS
+
+__all__ = ["OURS", "UNUSUAL", "USUAL", "chosen", "label_of", "version_of"]
+
+USUAL = ("pmp", "motdiff", "motdiff-quick", "network", "parametric", "psf-diffusion")
+"""Estimators of every table."""
+UNUSUAL = {"selfdeblur": "takes hours a photo", "blinddps": "needs weights, named blinddps:FOLDER"}
+"""Estimators that are measured when named, and why only then."""
+OURS = ("motdiff", "motdiff-quick", "network")
+"""The first of these that is measured is what others are compared with."""
+
+_WEIGHTS = {
+    "motdiff": DEFAULT_WEIGHTS,
+    "motdiff-quick": DEFAULT_WEIGHTS,
+    "network": DEFAULT_WEIGHTS,
+    "parametric": PATH_WEIGHTS,
+    "psf-diffusion": PSF_WEIGHTS,
+}
+_FOLLOWED = {
+    "motdiff-quick": "motdiff.estimators.motdiff",
+    "network": "motdiff.estimators.motdiff",
+    "psf-diffusion": "motdiff.estimators.psf_diffusion",
+}
+
+
+def chosen(names: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
+    """Choose the estimators to measure: those named, or the usual ones whose weights are there.
+
+    Returns
+    -------
+    names : tuple of str
+    warnings : list of str, one for each usual one that is left out
+
+    Raises
+    ------
+    ValueError
+        If a name is not known, comes twice, or its weights are missing.
+    """
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if list(names).count(name) > 1)
+        raise ValueError(f"methods: every one must come once, {twice} comes twice")
+    for name in names:
+        if (path := _weights(name)) is not None and not path.is_file():
+            raise ValueError(f"methods: {name} has no weights in this package ({path.name} is missing)")
+        named_estimators([name])  # refuses an unknown one, and broken weights, before hours of work
+    if names:
+        return tuple(_found_from_anywhere(name) for name in names), []
+    left_out = {name: path for name in USUAL if (path := _weights(name)) is not None and not path.is_file()}
+    warnings = [f"{name} is left out: {path.name} is not in this package" for name, path in left_out.items()]
+    return tuple(name for name in USUAL if name not in left_out), warnings
+
+
+def label_of(method: str) -> str:
+    """Name a method in tables: a folder of weights by its own name, without where it lies."""
+    folder = _folder(method)
+    return f"{method.partition(':')[0]}:{Path(folder).name}" if folder else method
+
+
+def version_of(method: str) -> str:
+    """Fingerprint of all that makes a method's figures: its code, its weights, and the code that measures it.
+
+    Parameters
+    ----------
+    method : str
+        An estimator, a floor or a ceiling.
+    """
+    followed, alone = ["motdiff.evaluation.measure"], ["cep.bench.blind.work", "cep.bench.blind.cases"]
+    if method in (*FLOORS, *CEILINGS):
+        return source_version([*followed, "motdiff.evaluation.floors"], alone=alone)
+    first = method.split(":")[0]
+    followed.append(_FOLLOWED.get(first, f"motdiff.estimators.{first}"))
+    weights = _weights(method)
+    if folder := _folder(method):
+        files = sorted(path for path in Path(folder).rglob("*") if path.is_file())
+    else:
+        files = [] if weights is None else [weights]
+    return source_version(followed, alone=[*alone, "motdiff.evaluation.methods"], files=files)
+
+
+def _weights(method: str) -> Path | None:
+    return _WEIGHTS.get(method.split(":")[0])
+
+
+def _folder(method: str) -> str:
+    name, _, folder = method.partition(":")
+    return folder if name == "blinddps" else ""
+
+
+def _found_from_anywhere(method: str) -> str:
+    """Spell a folder of weights so that workers, which may have another current folder, find it."""
+    folder = _folder(method)
+    return f"{method.partition(':')[0]}:{Path(folder).absolute()}" if folder else method

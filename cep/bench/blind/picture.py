@@ -1,0 +1,176 @@
+"""Blind estimates to look at: photo, blurred photo, and what each method makes of it, kernels in the corners."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.bench.blind.cases import RealPhoto, real_pair, taken
+from cep.bench.blind.usage import one_thread
+from cep.bench.blind.work import measure_levin, measure_simulated, psf_from_text
+from cep.bench.cells import Cell, Result
+from cep.plots.canvas import new_figure, show_photo
+from motdiff.crops import luminance
+from motdiff.evaluation.measure import restored
+from motdiff.evaluation.sets import levin_photo
+from motdiff.metrics import register_shift
+from motdiff.simulate import to_linear
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Shown", "blind_figure", "shown"]
+
+FloatArray = NDArray[np.float64]
+
+_TILE_IN = 1.7
+_INSET = 0.34
+_FRAME_PX = 64
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One line of the figure.
+
+    Attributes
+    ----------
+    sharp : (H, W) or (H, W, 3) float, or None
+    blurred : (H, W) or (H, W, 3) float
+    truth : (S, S) float or None
+        The true kernel.
+    kernels : mapping from method to (S, S) float
+    scores : mapping from method to what is written below
+    gamma : {"linear", "srgb"}
+        "linear" where code values were taken for light: they are shown as they are.
+    """
+
+    sharp: FloatArray | None
+    blurred: FloatArray
+    truth: FloatArray | None
+    kernels: Mapping[str, FloatArray]
+    scores: Mapping[str, str]
+    gamma: str
+
+
+def shown(results: Sequence[Result], *, methods: Sequence[str], most: int = 4) -> list[Shown]:
+    """Choose the lines of a figure: one motion of each of the first photos; photos are taken again for it.
+
+    Parameters
+    ----------
+    results : sequence of Result
+        Of a blind table.
+    methods : sequence of str
+        The columns.
+    most : int
+        Lines at most.
+    """
+    by_photo: dict[str, dict[tuple[str, str], dict[str, Result]]] = {}
+    for result in results:
+        method, photo, shake, light = result.cell.name
+        if method in methods and not result.finished.failure:
+            by_photo.setdefault(photo, {}).setdefault((shake, light), {})[method] = result
+    lines = []
+    for index, groups in enumerate(list(by_photo.values())[:most]):
+        found = list(groups.values())[index % len(groups)]  # not the same motion in every line
+        cell = next(iter(found.values())).cell
+        sharp, blurred, truth = _photos(cell)
+        lines.append(
+            Shown(
+                sharp,
+                blurred,
+                truth,
+                {method: psf_from_text(str(result.finished.figures["psf"])) for method, result in found.items()},
+                {method: _score(result) for method, result in found.items()},
+                _gamma(cell),
+            )
+        )
+    return lines
+
+
+def blind_figure(lines: Sequence[Shown], methods: Sequence[str]) -> Figure:
+    """Draw the figure in the MoTDiff paper's layout; photos are restored in grey, kernels lie where the true one does.
+
+    Parameters
+    ----------
+    lines : sequence of Shown, at least one
+    methods : sequence of str
+        The columns after photo and blurred photo; one without a kernel stays empty.
+    """
+    columns = ("photo", "blurred", *methods)
+    figure = new_figure(_TILE_IN * len(columns), (_TILE_IN + 0.25) * len(lines) + 0.25)
+    grid = figure.subplots(len(lines), len(columns), squeeze=False)
+    for axes, name in zip(grid[0], columns, strict=True):
+        axes.set_title(name, fontsize=9)
+    for row, line in zip(grid, lines, strict=True):
+        for axes in row:
+            axes.set_axis_off()
+        if line.sharp is not None:
+            show_photo(row[0], _light(line.sharp, line.gamma))
+            row[0].set_axis_on()
+        if line.truth is not None:
+            _inset(row[0], line.truth)
+        show_photo(row[1], _light(line.blurred, line.gamma))
+        row[1].set_axis_on()
+        for axes, method in zip(row[2:], methods, strict=True):
+            if method in line.kernels:
+                psf = line.kernels[method]
+                if line.truth is not None:
+                    psf = _moved(psf, *(round(d) for d in register_shift(line.truth, psf)))
+                with one_thread():
+                    show_photo(axes, _light(restored(luminance(line.blurred), psf), line.gamma))
+                axes.set_axis_on()
+                axes.set_xlabel(line.scores[method], fontsize=8)
+                _inset(axes, psf)
+    return figure
+
+
+def _photos(cell: Cell) -> tuple[FloatArray | None, FloatArray, FloatArray | None]:
+    given = cell.arguments
+    if cell.work in (measure_simulated, measure_levin):
+        levins = cell.work is measure_levin
+        case = levin_photo(given["photo"]) if levins else taken(given["photo"], given["motion"], given["shot"])
+        return case.sharp, case.photo, case.psf
+    photo = RealPhoto("", "", given["blurred"], given["sharp"])
+    blurred, sharp = real_pair(photo, crop_px=given["crop_px"], gamma=given["gamma"], crop_seed=given["crop_seed"])
+    return sharp, blurred, None
+
+
+def _gamma(cell: Cell) -> str:
+    """Return what was done with code values; Levin's are light."""
+    if cell.work is measure_simulated:
+        return str(cell.arguments["shot"].gamma)
+    return str(cell.arguments.get("gamma", "srgb"))
+
+
+def _light(image: FloatArray, gamma: str) -> FloatArray:
+    return to_linear(np.clip(image, 0, 1)) if gamma == "linear" else image
+
+
+def _score(result: Result) -> str:
+    figures = result.finished.figures
+    mnc, psnr_db = figures.get("mnc_subpixel"), figures.get("psnr_db")
+    texts = [] if mnc is None else [f"MNC {mnc:.2f}"]
+    return ", ".join(texts if psnr_db is None else [*texts, f"{psnr_db:.1f} dB"])
+
+
+def _moved(psf: FloatArray, dx: int, dy: int) -> FloatArray:
+    """Move by whole pixels into a frame that loses nothing."""
+    room = max(abs(dx), abs(dy))
+    return np.roll(np.pad(psf, room), (dy, dx), axis=(0, 1))
+
+
+def _inset(axes: Axes, psf: FloatArray) -> None:
+    """Draw the middle of a kernel, by the square root that shows faint parts, in the upper left corner."""
+    room = max(0, _FRAME_PX - len(psf) + 1) // 2
+    wide = np.pad(psf, room)
+    first = len(wide) // 2 - _FRAME_PX // 2
+    framed = wide[first : first + _FRAME_PX, first : first + _FRAME_PX]
+    corner = axes.inset_axes((0.0, 1 - _INSET, _INSET, _INSET))
+    corner.imshow(np.sqrt(np.maximum(framed, 0)), cmap="gray", interpolation="nearest")
+    corner.set_xticks([])
+    corner.set_yticks([])

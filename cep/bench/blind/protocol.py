@@ -1,0 +1,201 @@
+"""Protocols of the blind table: what is photographed, how, and how often, as TOML files."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Literal
+
+__all__ = ["NAMES", "Motions", "Protocol"]
+
+NAMES = ("paper", "ours")
+"""Protocols of the package."""
+
+_FOLDER = Path(__file__).parent
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Which motions are drawn.
+
+    Attributes
+    ----------
+    boracchi_foi, gyro : float
+        Shares of random walks and of hand shake.
+    max_length_px : float, px
+        Length of the random walks.
+    extent_px : (float, float), px
+        Range of the larger side of a hand shake.
+    exposure_s : (float, float), seconds
+        Range of exposures of a hand shake.
+    """
+
+    boracchi_foi: float = 1.0
+    gyro: float = 0.0
+    max_length_px: float = 60.0
+    extent_px: tuple[float, float] = (12.0, 36.0)
+    exposure_s: tuple[float, float] = (0.05, 0.5)
+
+    def __post_init__(self) -> None:
+        if min(self.boracchi_foi, self.gyro) < 0 or self.boracchi_foi + self.gyro <= 0:
+            raise ValueError(
+                f"boracchi_foi and gyro: must be shares of 0 or more, one above 0, got {self.boracchi_foi}, {self.gyro}"
+            )
+        if not 1 <= self.max_length_px <= 1000:
+            raise ValueError(f"max_length_px: must lie within 1..1000 px, got {self.max_length_px}")
+        for name in ("extent_px", "exposure_s"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high < 1000:
+                raise ValueError(f"{name}: must be two numbers above 0, the smaller first, got {low}, {high}")
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """What is measured on; photos are restored by the L0 method with PMP's settings.
+
+    Attributes
+    ----------
+    name : str
+    photos, motions : int
+        Every photo is taken with every motion.
+    crop_px : int, px
+        Side of the photos taken.
+    psf_px : int, px
+        Frame that every motion fits.
+    real_photos : int
+        Most photos used of a folder with real blur.
+    borders : {"symmetric", "real"}
+        The scene is mirrored at the photo's border, or light comes from beyond it.
+    gamma : {"linear", "srgb"}
+        Whether code values are taken for light, or turned into it.
+    light_photons : tuple of float, photo-electrons
+        Light levels: what full scale stands for. Without one there is no noise.
+    read_noise_e : float, electrons
+        Standard deviation of the read noise at every level.
+    seed : int
+    motion : Motions
+    """
+
+    name: str
+    photos: int
+    motions: int
+    crop_px: int = 256
+    psf_px: int = 64
+    real_photos: int = 100
+    borders: Literal["symmetric", "real"] = "symmetric"
+    gamma: Literal["linear", "srgb"] = "linear"
+    light_photons: tuple[float, ...] = ()
+    read_noise_e: float = 0.0
+    seed: int = 0
+    motion: Motions = field(default_factory=Motions)
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("photos", 1, 10_000),
+            ("motions", 1, 10_000),
+            ("real_photos", 1, 100_000),
+            ("crop_px", 64, 4096),
+            ("psf_px", 8, 64),
+            ("seed", 0, 2**31),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name}: must lie within {low}..{high}, got {getattr(self, name)}")
+        if self.borders not in ("symmetric", "real"):
+            raise ValueError(f'borders: must be "symmetric" or "real", got {self.borders!r}')
+        if self.gamma not in ("linear", "srgb"):
+            raise ValueError(f'gamma: must be "linear" or "srgb", got {self.gamma!r}')
+        if wrong := [level for level in self.light_photons if not 0 < level <= 1e9]:
+            raise ValueError(f"light_photons: must lie within 0..1e9 and above 0, got {wrong[0]}")
+        if len(set(self.light_photons)) < len(self.light_photons):
+            raise ValueError(f"light_photons: every level must come once, got {list(self.light_photons)}")
+        if not 0 <= self.read_noise_e <= 1e4:
+            raise ValueError(f"read_noise_e: must lie within 0..1e4 electrons, got {self.read_noise_e}")
+        if self.read_noise_e > 0 and not self.light_photons:
+            raise ValueError("read_noise_e: needs light_photons, the electrons of full scale")
+
+    @property
+    def least_px(self) -> int:
+        """Shortest side, px, of a sharp photo: with real borders the scene reaches beyond the photo."""
+        return self.crop_px + (self.psf_px - 1 if self.borders == "real" else 0)
+
+    @property
+    def levels(self) -> tuple[float | None, ...]:
+        """Light levels, a single None where there is no noise."""
+        return self.light_photons or (None,)
+
+    @classmethod
+    def load(cls, name_or_path: str | Path, *, quick: bool = False) -> Protocol:
+        """Read a protocol of the package by name, or a TOML file.
+
+        Parameters
+        ----------
+        name_or_path : name in :data:`NAMES`, or a .toml file
+        quick : bool
+            Whether the file's section ``[quick]`` replaces its other entries.
+
+        Raises
+        ------
+        ValueError
+            If the name is not known, or the file is no protocol; the line names the file and the entry.
+        OSError
+            If the file cannot be read.
+        """
+        known = str(name_or_path) in NAMES
+        path = _FOLDER / f"{name_or_path}.toml" if known else Path(name_or_path)
+        if path.suffix != ".toml":
+            raise ValueError(f"protocol: must be {' or '.join(NAMES)}, or a .toml file, got {str(name_or_path)!r}")
+        try:
+            table = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ValueError(f"{path}: not a TOML file ({error})") from None
+        try:
+            return _read(path.stem, table, quick=quick)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+
+_ENTRIES = {item.name: item for item in fields(Protocol) if item.name not in ("name", "motion")}
+_MOTION = {item.name: item for item in fields(Motions)}
+
+
+def _read(name: str, table: Mapping[str, Any], *, quick: bool) -> Protocol:
+    entries = {key: value for key, value in table.items() if key not in ("motion", "quick")}
+    for key in ("photos", "motions"):
+        if key not in entries:
+            raise ValueError(f"{key}: is missing")
+    motion = Motions(**_typed(_section(table, "motion"), _MOTION))
+    protocol = Protocol(name=name, motion=motion, **_typed(entries, _ENTRIES))
+    # read even where it is not used: a mistake in it should not wait for the first quick run
+    smaller = replace(protocol, **_typed(_section(table, "quick"), _ENTRIES))
+    return smaller if quick else protocol
+
+
+def _section(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    section = table.get(name, {})
+    if not isinstance(section, Mapping):
+        raise ValueError(f"{name}: must be a section, [{name}]")
+    return section
+
+
+def _typed(values: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+    """Check entries against the types of the fields; whole numbers may stand for others."""
+    typed: dict[str, Any] = {}
+    for key, value in values.items():
+        if key not in known:
+            raise ValueError(f"{key}: is not known; known are {', '.join(known)}")
+        kind = str(known[key].type)
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        numbers = isinstance(value, list) and all(type(item) in (int, float) for item in value)
+        if kind == "int" and type(value) is int:
+            typed[key] = value
+        elif kind == "float" and number:
+            typed[key] = float(value)
+        elif numbers and (kind == "tuple[float, ...]" or (kind == "tuple[float, float]" and len(value) == 2)):
+            typed[key] = tuple(float(item) for item in value)
+        elif kind.startswith("Literal") and isinstance(value, str):
+            typed[key] = value
+        else:
+            raise ValueError(f"{key}: must be of the type {kind}, got {value!r}")
+    return typed

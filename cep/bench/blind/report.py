@@ -1,0 +1,117 @@
+"""What a blind or speed table leaves behind: tables for people and programs, every cell, and a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cep.bench.blind.picture import blind_figure, shown
+from cep.bench.blind.run import Plan
+from cep.bench.blind.tables import cells_csv
+from cep.bench.engine import Outcome
+from cep.bench.layout import tables_csv, tables_json, tables_markdown
+from cep.bench.tables import Table
+from cep.outputs import new_folder
+from cep.plots.canvas import save
+
+__all__ = ["outputs", "write_report"]
+
+
+def outputs(name: str) -> tuple[str, ...]:
+    """Files of the table ``name``."""
+    return (f"{name}.md", f"{name}.csv", f"{name}.json", f"{name}-cells.csv", f"{name}.png")
+
+
+def write_report(
+    folder: Path,
+    name: str,
+    tables: Sequence[Table],
+    *,
+    plan: Plan,
+    outcome: Outcome,
+    command: str,
+    warnings: Sequence[str],
+    pictured: Sequence[str] = (),
+    unmeasured: Mapping[str, str] | None = None,
+    force: bool = False,
+) -> dict[str, Path]:
+    """Write NAME.md, .csv, .json and NAME-cells.csv, and NAME.png where methods are pictured; all or nothing.
+
+    Parameters
+    ----------
+    folder : Path, made where it is missing
+    name : str
+    tables : sequence of Table
+    plan : Plan
+    outcome : Outcome
+    command : str
+        What makes them again.
+    warnings : sequence of str
+    pictured : sequence of methods
+    unmeasured : mapping from method to reason
+        Told of, with those of which every cell failed.
+    force : bool
+        Whether existing files may be replaced.
+
+    Returns
+    -------
+    dict from a file's name to its path
+
+    Raises
+    ------
+    ValueError
+        If a file exists and ``force`` is not given.
+    OSError
+        If one cannot be written.
+    """
+    lines = shown(outcome.results, methods=pictured) if pictured else []
+    with new_folder(folder, outputs(name), force=force) as made:
+        text = _introduction(name, plan, outcome, command, warnings) + tables_markdown(tables)
+        absent = {**(unmeasured or {}), **_failed(outcome)}
+        text += "".join(f"\n{method} is not measured: {reason}.\n" for method, reason in absent.items())
+        if lines:
+            save(blind_figure(lines, pictured), made / f"{name}.png")
+            text += f"\n![photos, kernels and what each method restores]({name}.png)\n"
+        machines = outcome.machines
+        texts = {
+            ".md": text,
+            ".csv": tables_csv(tables),
+            ".json": tables_json(
+                tables, command=command, seed=plan.protocol.seed, machines=machines, warnings=warnings
+            ),
+            "-cells.csv": cells_csv(outcome.figures, outcome.failures),
+        }
+        for ending, content in texts.items():
+            (made / f"{name}{ending}").write_text(content, encoding="utf-8", newline="")
+        names = sorted(item.name for item in made.iterdir())
+    return {item: folder / item for item in names}
+
+
+def _introduction(name: str, plan: Plan, outcome: Outcome, command: str, warnings: Sequence[str]) -> str:
+    machines = "; ".join(_in_words(machine) for machine in outcome.machines)
+    head = [
+        f"# The {name} table",
+        "",
+        f"Made by `{command}`, protocol `{plan.protocol.name}`, seed {plan.protocol.seed}, on",
+        f"{machines or 'no machine'}.",
+        "Means, and in brackets their 95 % intervals from a bootstrap over photos or over motions, whichever is wider;",
+        "the best is bold only where paired tests over both tell it from the next one. PSNR and SSIM are those of the",
+        "photo's luminance restored by the L0 method with PMP's settings, up to shift.",
+        *(f"\n- {warning}" for warning in warnings),
+        "",
+        "",
+    ]
+    return "\n".join(head)
+
+
+def _failed(outcome: Outcome) -> dict[str, str]:
+    """Return a reason for each method without a single figure."""
+    measured = {name[0] for name, own in outcome.figures.items() if own}
+    return {name[0]: reason for name, reason in outcome.failures.items() if name[0] not in measured}
+
+
+def _in_words(machine: Mapping[str, Any]) -> str:
+    versions = machine["versions"]
+    packages = ", ".join(f"{package} {versions[package]}" for package in ("numpy", "torch") if versions.get(package))
+    return f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}, {packages}"

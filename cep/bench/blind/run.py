@@ -1,0 +1,144 @@
+"""What a blind table measures: a cell for every photo, motion, light level and method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cep.bench.blind.cases import RealPhoto, labels_of, real_photos, shot_of
+from cep.bench.blind.methods import label_of, version_of
+from cep.bench.blind.protocol import Protocol
+from cep.bench.blind.shakes import drawn_shakes
+from cep.bench.blind.work import CEILINGS, FLOORS, measure_levin, measure_real, measure_simulated
+from cep.bench.cells import Cell
+from cep.bench.photos import Layout, bundled_photos, layout_of, photo_folder, pick
+from motdiff.evaluation.floors import mean_psf
+from motdiff.gyro import GyroTrace
+
+__all__ = ["Plan", "one_each", "planned"]
+
+_OTHERS, _OTHER_STREAM = 200, 1
+_BLIND = ("delta", "gaussian")
+_REAL: dict[Layout, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
+    "levin": ("Levin's real shakes", _BLIND, ("true-kernel",)),
+    "rsblur": ("RSBlur's real photos", _BLIND, ()),
+    "koehler": ("Koehler's real shakes", (), ()),  # nothing could be said of a kernel without a photo to look at
+}
+"""Name of the table, floors, and ceilings, by layout."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be measured.
+
+    Attributes
+    ----------
+    protocol : Protocol
+    cells : tuple of Cell
+        Named (method, photo, motion, light).
+    lights : tuple of str
+        Names of the light levels, a table each.
+    warnings : tuple of str
+    """
+
+    protocol: Protocol
+    cells: tuple[Cell, ...]
+    lights: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def planned(
+    protocol: Protocol, methods: Sequence[str], *, folder: Path | None = None, trace: GyroTrace | None = None
+) -> Plan:
+    """List the cells of a blind table, those of one photo and motion side by side: a run that is stopped has pairs.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        Of photos with real blur (see :func:`cep.bench.blind.cases.real_photos`) only ``real_photos``, ``crop_px``,
+        ``gamma`` and ``seed`` count: their motion and noise are what they are.
+    methods : sequence of str
+        Estimators.
+    folder : Path, optional
+        Photos; those that scikit-image carries when omitted.
+    trace : GyroTrace, optional
+        Recording for the hand shake.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds nothing of use, or a photo is too small.
+    """
+    if folder is not None and (photos := real_photos(folder, protocol.real_photos)):
+        layout = layout_of(folder)
+        light, floors, ceilings = _REAL[layout]
+        versions = {method: version_of(method) for method in (*floors, *methods, *ceilings)}
+        cells = [
+            _real_cell(protocol, layout, photo, method, versions[method]) for photo in photos for method in versions
+        ]
+        return Plan(protocol, tuple(cells), (light,))
+    return _of_sharp(protocol, methods, folder, trace)
+
+
+def one_each(plan: Plan) -> Plan:
+    """Keep one cell per photo and estimator, each photo with another motion, at the first light level."""
+    photos = list(dict.fromkeys(cell.name[1] for cell in plan.cells))
+    shakes = {photo: list(dict.fromkeys(c.name[2] for c in plan.cells if c.name[1] == photo)) for photo in photos}
+    wanted = {photo: shakes[photo][index % len(shakes[photo])] for index, photo in enumerate(photos)}
+    kept = [
+        cell
+        for cell in plan.cells
+        for method, photo, shake, light in (cell.name,)
+        if method not in (*FLOORS, *CEILINGS) and shake == wanted[photo] and light == plan.lights[0]
+    ]
+    return replace(plan, cells=tuple(kept), lights=plan.lights[:1])
+
+
+def _of_sharp(protocol: Protocol, methods: Sequence[str], folder: Path | None, trace: GyroTrace | None) -> Plan:
+    listed = bundled_photos() if folder is None else photo_folder(folder)
+    photos = pick(listed, protocol.photos, least_px=protocol.least_px)
+    motions = drawn_shakes(protocol, trace)
+    others = drawn_shakes(replace(protocol, motions=_OTHERS), trace, stream=_OTHER_STREAM)
+    mean = mean_psf([motion.psf(protocol.psf_px) for motion in others])
+    versions = {method: version_of(method) for method in (*FLOORS, *methods, *CEILINGS)}
+    lights = {level: "no noise" if level is None else f"{level:g} photo-electrons" for level in protocol.levels}
+    cells = [
+        Cell(
+            (label_of(method), label, f"{index:04d}", lights[level]),
+            measure_simulated,
+            {
+                "method": method,
+                "photo": photo,
+                "motion": motion,
+                "shot": shot_of(protocol, label, index, level),
+                "mean": mean if method == "mean-kernel" else None,
+            },
+            version=version,
+        )
+        for level in lights
+        for index, motion in enumerate(motions)
+        for label, photo in zip(labels_of(photos), photos, strict=True)
+        for method, version in versions.items()
+    ]
+    warnings = []
+    if len(photos) < protocol.photos:
+        warnings.append(f"{len(photos)} photos instead of the {protocol.photos} of the protocol: there are no more")
+    if protocol.motion.gyro > 0 and trace is None:
+        warnings.append("the hand shake is made of noise: a recording of a gyroscope makes it real")
+    return Plan(protocol, tuple(cells), tuple(lights.values()), tuple(warnings))
+
+
+def _real_cell(protocol: Protocol, layout: Layout, photo: RealPhoto, method: str, version: str) -> Cell:
+    name = (label_of(method), photo.scene, photo.shake, _REAL[layout][0])
+    if layout == "levin":
+        return Cell(name, measure_levin, {"method": method, "photo": photo.blurred}, version=version)
+    arguments = {
+        "method": method,
+        "blurred": photo.blurred,
+        "sharp": photo.sharp,
+        "crop_px": protocol.crop_px,
+        "gamma": protocol.gamma,
+        "crop_seed": (protocol.seed, *f"{photo.scene}/{photo.shake}".encode()),
+    }
+    return Cell(name, measure_real, arguments, version=version)

@@ -1,0 +1,178 @@
+"""The work of one cell of the blind table: one method on one photo."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+import zlib
+from collections.abc import Iterable
+from dataclasses import asdict
+from functools import cache, lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.bench.blind.cases import RealPhoto, Shot, real_pair, taken
+from cep.bench.blind.usage import Watched, one_thread
+from cep.bench.cells import Figure
+from motdiff.crops import luminance
+from motdiff.estimators.base import Estimator
+from motdiff.evaluation.floors import floors, path_kernel, quadratic_kernel
+from motdiff.evaluation.measure import FIGURES, Measured, measure_estimator, measure_psf, restored
+from motdiff.evaluation.methods import named_estimators
+from motdiff.evaluation.sets import Case, levin_photo
+from motdiff.metrics import psnr_up_to_shift, ssim_up_to_shift
+from motdiff.trajectory import Trajectory
+
+__all__ = ["CEILINGS", "FLOORS", "measure_levin", "measure_real", "measure_simulated", "psf_from_text", "psf_to_text"]
+
+FloatArray = NDArray[np.float64]
+
+FLOORS = ("delta", "gaussian", "mean-kernel")
+"""Kernels that know nothing of the photo; the last is the mean of other motions of the kind."""
+CEILINGS = ("best-quadratic", "true-path", "true-kernel")
+"""Kernels that know all: what a quadratic path, a path without dwell, and the restoration can reach."""
+
+_FARTHEST_PX = 10.0  # a blind kernel may lie anywhere, and where the true one lies is not known of real photos
+
+
+def measure_simulated(
+    *, method: str, photo: Path, motion: Trajectory, shot: Shot, mean: FloatArray | None = None
+) -> dict[str, Figure]:
+    """Take a photo of a sharp scene, estimate its motion and restore it.
+
+    Parameters
+    ----------
+    method : str
+        Name of an estimator of :mod:`motdiff.evaluation.methods`, of a floor or of a ceiling.
+    photo : Path
+        Of the sharp scene.
+    motion : Trajectory
+    shot : Shot
+    mean : (S, S) float, optional
+        For "mean-kernel".
+
+    Returns
+    -------
+    dict of the figures of :class:`motdiff.evaluation.measure.Row`, ``wall_s``, ``memory_mib`` and ``psf`` as a text
+
+    Raises
+    ------
+    ValueError
+        If the estimator finds no motion, or the file is no photo.
+    """
+    return _measured(method, taken(photo, motion, shot), mean)
+
+
+def measure_levin(*, method: str, photo: Path) -> dict[str, Figure]:
+    """Estimate the motion in one of Levin's photos and restore it; otherwise as :func:`measure_simulated`."""
+    return _measured(method, levin_photo(photo), None)
+
+
+def measure_real(
+    *, method: str, blurred: Path, sharp: Path | None, crop_px: int, gamma: str, crop_seed: tuple[int, ...]
+) -> dict[str, Figure]:
+    """Estimate the motion in a real photo and restore it; nobody knows the kernel.
+
+    Parameters
+    ----------
+    method : str
+        Of an estimator or a floor other than "mean-kernel".
+    blurred : Path
+    sharp : Path or None
+        Without it there are only times and a confidence.
+    crop_px, gamma, crop_seed
+        As of :class:`cep.bench.blind.cases.Shot`.
+
+    Returns
+    -------
+    dict as of :func:`measure_simulated`
+    """
+    photo, target = real_pair(
+        RealPhoto("", "", blurred, sharp), crop_px=crop_px, gamma=gamma, crop_seed=tuple(crop_seed)
+    )
+    known = floors().get(method)
+    case = Case(blurred.stem, photo, floors()["delta"])
+    with one_thread():
+        figures = _of_estimator(method, case, restore=False) if known is None else {"psf": psf_to_text(known)}
+        # these compare with a kernel, and there is none
+        figures |= dict.fromkeys(("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim"))
+        if target is not None:
+            image, grey = restored(luminance(photo), psf_from_text(str(figures["psf"]))), luminance(target)
+            figures["psnr_db"] = psnr_up_to_shift(image, grey, max_shift_px=_FARTHEST_PX)
+            figures["ssim"] = ssim_up_to_shift(image, grey, max_shift_px=_FARTHEST_PX)
+    return figures
+
+
+def psf_to_text(psf: FloatArray) -> str:
+    """Write a PSF (S, S) as one short line, to 16-bit floats."""
+    data = np.ascontiguousarray(psf, dtype="<f2").tobytes()
+    return f"{len(psf)}:{base64.b64encode(zlib.compress(data, 9)).decode()}"
+
+
+def psf_from_text(text: str) -> FloatArray:
+    """Read what :func:`psf_to_text` has written, sum 1.
+
+    Raises
+    ------
+    ValueError
+        If it is something else.
+    """
+    size, _, rest = text.partition(":")
+    try:
+        data = np.frombuffer(zlib.decompress(base64.b64decode(rest, validate=True)), dtype="<f2")
+        psf = data.reshape(int(size), int(size)).astype(np.float64)
+    except (ValueError, binascii.Error, zlib.error):
+        raise ValueError(f"psf: must be a text of psf_to_text, got {text[:20]!r}") from None
+    return np.asarray(psf / psf.sum(), dtype=np.float64)
+
+
+@cache
+def _estimator(method: str) -> Estimator:
+    """Load an estimator once per process: its weights are no part of an estimate's time."""
+    (estimator,) = named_estimators([method]).values()
+    return estimator
+
+
+def _measured(method: str, case: Case, mean: FloatArray | None) -> dict[str, Figure]:
+    with one_thread():
+        psf = _known(method, case, mean)
+        if psf is None:
+            return _of_estimator(method, case, restore=True)
+        return _figures(measure_psf("", case, method, psf))
+
+
+def _known(method: str, case: Case, mean: FloatArray | None) -> FloatArray | None:
+    if method == "true-kernel":
+        return case.psf
+    if method == "true-path" and case.trajectory is not None:
+        return path_kernel(case.trajectory)
+    if method == "best-quadratic" and case.trajectory is not None:
+        return _best_quadratic(case.trajectory.t.tobytes(), case.trajectory.xy.tobytes())
+    return floors(mean).get(method)
+
+
+@lru_cache(maxsize=8)
+def _best_quadratic(t: bytes, xy: bytes) -> FloatArray:
+    """Search once for the photos of one motion, which come one after the other."""
+    return quadratic_kernel(Trajectory(np.frombuffer(t), np.frombuffer(xy).reshape(-1, 2)))
+
+
+def _of_estimator(method: str, case: Case, *, restore: bool) -> dict[str, Figure]:
+    watched = Watched(_estimator(method))
+    measured = measure_estimator("", case, method, watched, restore=restore)
+    if measured.row.failure:
+        raise ValueError(measured.row.failure)
+    return {**_figures(measured), "wall_s": watched.wall_s, "memory_mib": watched.memory_mib}
+
+
+def _figures(measured: Measured) -> dict[str, Figure]:
+    row = asdict(measured.row)
+    assert measured.psf is not None
+    return {**_numbers((name, row[name]) for name in FIGURES), "psf": psf_to_text(measured.psf)}
+
+
+def _numbers(pairs: Iterable[tuple[str, float]]) -> dict[str, Figure]:
+    return {name: None if math.isnan(value) else value for name, value in pairs}

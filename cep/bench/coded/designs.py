@@ -1,0 +1,143 @@
+"""Who chooses the code: nobody, the light alone, the length of the path, published tables, or a search along a path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cep.baselines.dnf import dnf_problem
+from cep.baselines.light import best_snapshot, best_strobe, random_codes
+from cep.baselines.published import published
+from cep.camera import Camera
+from cep.code import ShutterCode
+from cep.search.annealing.anneal import anneal
+from cep.search.objective import Objective
+from cep.search.problem import SearchProblem
+from cep.search.scenarios import Scenario
+from motdiff.trajectory import Trajectory
+
+__all__ = ["DESIGNS", "Design", "Known", "designed"]
+
+
+@dataclass(frozen=True)
+class Design:
+    """A way to choose a code.
+
+    Parameters
+    ----------
+    label : str
+        For people.
+    path : {"none", "length", "ours", "parametric", "parametric oracle", "true"}
+        What it knows of the motion: nothing, the true length, an estimate, the best quadratic path for the truth, or
+        the truth.
+    """
+
+    label: str
+    path: str
+
+
+DESIGNS: dict[str, Design] = {
+    "open": Design("w/o CEP (open shutter)", "none"),
+    "snapshot": Design("snapshot, best short exposure", "ours"),
+    "strobe": Design("best strobe", "ours"),
+    "random": Design("random code, median of 15", "ours"),
+    "raskar-52": Design("Raskar-52, published", "none"),
+    "dnf": Design("DNF (length known, direction ignored)", "length"),
+    "dce": Design("DCE (one learned code)", "none"),
+    "parametric": Design("parametric (estimated quadratic path)", "parametric"),
+    "parametric-oracle": Design("parametric oracle (best quadratic path)", "parametric oracle"),
+    "one-way": Design("ours, one way (as the paper)", "ours"),
+    "posterior": Design("ours, both ways, all alternatives", "ours"),
+    "both-ways": Design("ours, both ways", "ours"),
+    "oracle": Design("oracle (true path)", "true"),
+}
+"""Rows of the table, in its order."""
+
+_RANDOM_CODES = 15
+_FOREVER_S = 1e9
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a design is told of the motion: paths with weights, or only its length, px."""
+
+    paths: tuple[Trajectory, ...] = ()
+    weights: tuple[float, ...] = ()
+    length_px: float | None = None
+
+
+def designed(
+    design: str, known: Known, *, chips: int, open_range: tuple[int, int], objective: str, camera: Camera, steps: int,
+    rng: np.random.Generator,
+) -> ShutterCode:  # fmt: skip
+    """Choose a code.
+
+    Parameters
+    ----------
+    design : str
+        One of :data:`DESIGNS`.
+    known : Known
+    chips : int
+    open_range : (int, int)
+        Fewest and most open chips; snapshots and strobes need not keep it, published codes have their own.
+    objective : str
+    camera : Camera
+        What the code is designed for.
+    steps : int
+        Moves of a search, the same for all that search.
+    rng : numpy Generator
+
+    Raises
+    ------
+    ValueError
+        If the design is unknown.
+    """
+    if design == "open":
+        return ShutterCode("1" * chips)
+    if design == "dce":
+        from cep.baselines.dce import dce_code
+
+        return dce_code()
+    if design == "dnf":
+        assert known.length_px is not None
+        return _searched(dnf_problem(known.length_px, chips, open_range=open_range), steps=steps, rng=rng)
+    if design == "raskar-52":
+        return published(design).code
+    if design not in DESIGNS:
+        raise ValueError(f"design: must be one of {', '.join(DESIGNS)}, got {design!r}")
+    problem = _problem(design, known, chips=chips, open_range=open_range, objective=objective, camera=camera)
+    if design == "snapshot":
+        return best_snapshot(Objective(problem, oversampling=8))
+    if design == "strobe":
+        return best_strobe(Objective(problem, oversampling=8))
+    if design == "random":
+        return random_codes(Objective(problem, oversampling=8), _RANDOM_CODES, rng=rng).middle
+    return _searched(problem, steps=steps, rng=rng)
+
+
+def _searched(problem: SearchProblem, *, steps: int, rng: np.random.Generator) -> ShutterCode:
+    found = anneal(problem, rng=rng, steps=steps, time_s=_FOREVER_S, threads=1)  # other cells run beside
+    if found.interrupted:
+        raise KeyboardInterrupt  # the best so far has not had the others' budget, and a cell is kept
+    return found.code
+
+
+def _problem(
+    design: str, known: Known, *, chips: int, open_range: tuple[int, int], objective: str, camera: Camera
+) -> SearchProblem:
+    kept = len(known.paths) if design == "posterior" else 1
+    scenarios = tuple(
+        Scenario(path, weight=weight)
+        for path, weight in zip(known.paths[:kept], known.weights[:kept], strict=True)
+        if weight > 0  # an estimator may be sure
+    )
+    return SearchProblem(
+        chips=chips,
+        scenarios=scenarios,
+        open_range=open_range,
+        objective=objective,
+        direction="forward" if design in ("one-way", "oracle") else "unknown",
+        rule="mean" if design == "posterior" else "worst",
+        camera=camera,
+    )

@@ -1,0 +1,174 @@
+"""How the coded-exposure table is measured: read from TOML, so that a table says what it is."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from cep.camera import Camera
+from cep.restore.methods import METHODS as RESTORATIONS
+from cep.search.problem import OBJECTIVES
+
+__all__ = ["PROTOCOLS", "CodedProtocol", "coded_protocol"]
+
+PROTOCOLS = ("paper", "ours")
+"""Built in."""
+
+_MOST_PHOTONS = 1e9
+_WHOLE = {  # least and most; of a smaller photo the comparison, 32 px within its borders, would leave next to nothing
+    "photos": (1, 10_000), "motions": (1, 10_000), "crop_px": (80, 4096), "chips": (3, 4096), "bits": (1, 16),
+    "steps": (1, 10**12), "seed": (0, 2**31), "quick_photos": (1, 10_000), "quick_motions": (1, 10_000),
+    "quick_steps": (1, 10**12),
+}  # fmt: skip
+_ALLOWED = {
+    "borders": ("real", "symmetric"),
+    "shakes": ("boracchi-foi", "mixed"),
+    "objective": OBJECTIVES,
+    "restoration": tuple(RESTORATIONS),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CodedProtocol:
+    """A protocol of the coded-exposure table.
+
+    Parameters
+    ----------
+    name : str
+    photos, motions : int
+        Photos, and motions each photo is taken with.
+    crop_px : int
+        Side of the photo, px.
+    borders : {"real", "symmetric"}
+        Whether light comes in from outside the photo, or the scene is mirrored at its borders.
+    shakes : {"boracchi-foi", "mixed"}
+        Random walks of 60 px; or those of 20 to 60 px, curved and straight motions in turn.
+    chips : int
+    open_range : (int, int)
+        Fewest and most open chips.
+    objective : str
+        Of the search; see :mod:`cep.search.objective`.
+    photons : tuple of float
+        Photo-electrons at full scale of each light level. Empty: no noise but the quantisation, and each photo has the
+        light of the open shutter, as if coding cost none.
+    design_photons : float
+        Light that codes are designed for, and of the uncoded photo that motions are estimated from.
+    bits : int
+        Of the quantisation.
+    read_noise_e : float
+    restoration : str
+    knows_psf : bool
+        Whether the restoration is given the true coded PSF, or what the estimate says, tried in both directions.
+    steps : int
+        Moves of every search.
+    seed : int
+    quick_photos, quick_motions, quick_steps : int
+        Of ``--quick``.
+    """
+
+    name: str
+    photos: int
+    motions: int
+    crop_px: int
+    borders: Literal["real", "symmetric"]
+    shakes: Literal["boracchi-foi", "mixed"]
+    chips: int
+    open_range: tuple[int, int]
+    objective: str
+    photons: tuple[float, ...]
+    design_photons: float
+    bits: int
+    read_noise_e: float
+    restoration: str
+    knows_psf: bool
+    steps: int
+    seed: int
+    quick_photos: int
+    quick_motions: int
+    quick_steps: int
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in _WHOLE.items():
+            value = getattr(self, name)
+            if type(value) is not int or not least <= value <= most:
+                raise ValueError(f"{name}: must be a whole number within {least}..{most}, got {value!r}")
+        for name, allowed in _ALLOWED.items():
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
+        if not (isinstance(self.name, str) and self.name):
+            raise ValueError(f"name: must be a text that is not empty, got {self.name!r}")
+        if not isinstance(self.knows_psf, bool):
+            raise ValueError(f"knows_psf: must be true or false, got {self.knows_psf!r}")
+        pair = self.open_range
+        if not (_are(pair, int) and len(pair) == 2 and 1 <= pair[0] <= pair[1] <= self.chips):
+            raise ValueError(f"open_range: must be two numbers of chips within 1..{self.chips} in order, got {pair!r}")
+        if not (_are(self.photons, int, float) and all(0 < level <= _MOST_PHOTONS for level in self.photons)):
+            raise ValueError(f"photons: must be a list of light levels above 0, up to 1e9, got {self.photons!r}")
+        if len(set(self.photons)) < len(self.photons):
+            raise ValueError(f"photons: every level must come once, got {self.photons!r}")
+        for name, least_e, most_e in (("design_photons", 1e-3, _MOST_PHOTONS), ("read_noise_e", 0.0, 1e4)):
+            value = getattr(self, name)
+            if not (_are([value], int, float) and least_e <= value <= most_e):
+                raise ValueError(f"{name}: must be a number within {least_e:g}..{most_e:g}, got {value!r}")
+        object.__setattr__(self, "photons", tuple(float(level) for level in self.photons))
+        object.__setattr__(self, "open_range", tuple(self.open_range))
+
+    @property
+    def quick(self) -> CodedProtocol:
+        """The same with fewer photos, motions and moves."""
+        return replace(self, photos=self.quick_photos, motions=self.quick_motions, steps=self.quick_steps)
+
+    @property
+    def levels(self) -> tuple[float | None, ...]:
+        """Light levels; the only one is None when only quantisation counts."""
+        return self.photons or (None,)
+
+    @property
+    def calibration_camera(self) -> Camera:
+        """Camera of the uncoded photo that a motion is estimated from: as free of noise as the others."""
+        return self.camera(self.design_photons if self.photons else None)
+
+    def camera(self, photons: float | None) -> Camera:
+        """Camera at a light level."""
+        if photons is None:
+            return Camera(photons_full_scale=_MOST_PHOTONS, read_noise_e=0.0, bits=self.bits)
+        # a raw file's pedestal of 6 sigma: without it, clipped read noise would brighten the darkest photos
+        pedestal = min(0.5, 6 * self.read_noise_e / photons)
+        return Camera(photons_full_scale=photons, read_noise_e=self.read_noise_e, bits=self.bits, black_level=pedestal)
+
+
+def coded_protocol(name: str) -> CodedProtocol:
+    """Load a built-in protocol by name, or one's own by the path of its ``.toml`` file.
+
+    Raises
+    ------
+    ValueError
+        If there is no such protocol, or a field is missing, unknown or out of range.
+    """
+    if name.endswith(".toml"):
+        path = Path(name)
+        if not path.is_file():
+            raise ValueError(f"{name}: no such file; built-in protocols are {', '.join(PROTOCOLS)}")
+    elif name in PROTOCOLS:
+        path = Path(__file__).parent / f"{name}.toml"
+    else:
+        raise ValueError(f"protocol: must be one of {', '.join(PROTOCOLS)} or a .toml file, got {name[:40]!r}")
+    try:
+        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{name}: is not TOML ({' '.join(str(error).split())})") from None
+    known = {field.name for field in fields(CodedProtocol)}
+    for what, names in (("unknown", set(table) - known), ("missing", known - set(table))):
+        if names:
+            raise ValueError(f"{name}: field {min(names)!r} is {what}; the fields are {', '.join(sorted(known))}")
+    try:
+        return CodedProtocol(**table)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def _are(values: object, *kinds: type) -> bool:
+    """Tell whether these are numbers of those types; TOML's true is none."""
+    return isinstance(values, list | tuple) and all(type(value) in kinds for value in values)

@@ -1,0 +1,123 @@
+"""What the coded-exposure table leaves behind: tables for people and programs, every photo's figures, and a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cep.bench.coded.picture import coded_figure
+from cep.bench.coded.run import ESTIMATORS, CodedTable
+from cep.bench.coded.tables import harmed, shots_csv
+from cep.bench.layout import tables_csv, tables_json, tables_markdown
+from cep.bench.tables import Table
+from cep.outputs import new_folder
+from cep.plots.canvas import save
+
+__all__ = ["OUTPUTS", "write_coded_report"]
+
+OUTPUTS = ("cep.md", "cep.csv", "cep.json", "cep-photos.csv", "cep.png")
+"""Files of the table."""
+
+_PICTURED = ("both-ways", "parametric", "dce", "dnf", "snapshot", "open")
+
+
+def write_coded_report(
+    folder: Path,
+    tables: Sequence[Table],
+    measured: CodedTable,
+    *,
+    command: str,
+    warnings: Sequence[str],
+    force: bool = False,
+) -> dict[str, Path]:
+    """Write :data:`OUTPUTS`, all or nothing; the picture where anything was measured.
+
+    Parameters
+    ----------
+    folder : Path, made where it is missing
+    tables : sequence of Table
+    measured : CodedTable
+    command : str
+        What makes them again.
+    warnings : sequence of str
+    force : bool
+        Whether existing files may be replaced.
+
+    Returns
+    -------
+    dict from a file's name to its path
+    """
+    with new_folder(folder, OUTPUTS, force=force) as made:
+        text = _introduction(measured, command, warnings) + tables_markdown(tables)
+        if measured.shots:
+            _draw(measured, made / "cep.png")
+            text += "\n![coded photo with code and PSF, restored photo, MTF](cep.png)\n"
+        texts = {
+            "cep.md": text,
+            "cep.csv": tables_csv(tables),
+            "cep.json": tables_json(
+                tables, command=command, seed=measured.protocol.seed, machines=measured.machines, warnings=warnings
+            ),
+            "cep-photos.csv": shots_csv(measured),
+        }
+        for name, content in texts.items():
+            (made / name).write_text(content, encoding="utf-8", newline="")
+        names = sorted(item.name for item in made.iterdir())
+    return {name: folder / name for name in names}
+
+
+def _draw(measured: CodedTable, path: Path) -> None:
+    # after Ctrl-C there may be none at the level that codes are designed for
+    taken = dict.fromkeys(shot.photons for shot in measured.shots)
+    level = min(taken, key=lambda one: abs((one or 0) - measured.protocol.design_photons))
+    at = [shot for shot in measured.shots if shot.photons == level]
+    photo, motion = at[0].photo, at[0].motion
+    shown = {shot.design: shot for shot in at if (shot.photo, shot.motion) == (photo, motion)}
+    picked = {name: shown[name] for name in _PICTURED if name in shown} or shown
+    save(
+        coded_figure(
+            {name: shot.arguments for name, shot in picked.items()},
+            {name: f"{float(shot.figures['psnr_db'] or 0):.2f} dB" for name, shot in picked.items()},
+            linear=bool(measured.protocol.photons),
+        ),
+        path,
+    )
+
+
+def _introduction(measured: CodedTable, command: str, warnings: Sequence[str]) -> str:
+    protocol = measured.protocol
+    counts = {name: harmed(measured, name) for name in ("both-ways", "one-way")}
+    mncs = {
+        kind: [float(f["mnc"] or 0) for (k, _, _), f in measured.estimates.items() if k == kind and f]
+        for kind in ESTIMATORS
+    }
+    machines = "; ".join(f"{m['processor']}, {m['cores']} cores, Python {m['python']}" for m in measured.machines)
+    head = [
+        "# The coded-exposure table",
+        "",
+        f"Made by `{command}`, protocol `{protocol.name}`, seed {protocol.seed}, on {machines or 'no machine'}.",
+        f"{protocol.chips} chips (DCE: 32), {protocol.open_range[0]} to {protocol.open_range[1]} open, searched for "
+        f"`{protocol.objective}` with {protocol.steps:,} moves each; restored by `{protocol.restoration}`"
+        + (
+            " with the true coded PSF."
+            if protocol.knows_psf
+            else ", which knows the path that the code was made for, in neither direction (the oracle's: the truth; "
+            "codes made for none: our estimate)."
+        ),
+        "Means, and in brackets their 95 % intervals from a bootstrap; the best is bold only where a paired test tells "
+        "it from the next one. PSNR and SSIM up to shift, 32 px of border left out.",
+        *(f"\n- {warning}" for warning in warnings),
+        *(
+            f"\nMNC of the estimated path's PSF ({ESTIMATORS[kind]}): mean {sum(values) / len(values):.3f}."
+            for kind, values in mncs.items()
+            if values
+        ),
+        *(
+            f"\n{name}: noise gain in the worse direction above the open shutter's in {bad} of {count}."
+            for name, (bad, count) in counts.items()
+            if count
+        ),
+        "",
+        "",
+    ]
+    return "\n".join(head)

@@ -1,0 +1,180 @@
+"""The stages of the coded-exposure table, pure functions: estimate the motion, choose a code, take the photo."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.bench.coded.designs import Known, designed
+from cep.camera import Camera, visible
+from cep.code import ShutterCode
+from cep.exposure import coded_psf
+from cep.mtf import measure
+from cep.restore import restore
+from cep.restore.direction import compare_psfs
+from motdiff.metrics import mnc_subpixel, psnr_up_to_shift, ssim_up_to_shift
+from motdiff.simulate import blur_symmetric, blur_valid
+from motdiff.trajectory import Trajectory
+
+__all__ = ["PSF_PX", "Taken", "choose_code", "estimate_motion", "paths_from", "paths_to", "photographed", "take_photo"]
+
+FloatArray = NDArray[np.float64]
+PSF_PX = 64
+"""Side of the frame that every true motion fits."""
+_CROP_PX = 32  # left out of every comparison: restored borders lean on a guess
+
+
+def paths_to(paths: Sequence[Trajectory], weights: Sequence[float]) -> str:
+    """Write weighted paths as one line of text, for a table's cell."""
+    rows = [
+        {"t": path.t.tolist(), "xy": path.xy.tolist(), "direction": path.direction, "weight": float(weight)}
+        for path, weight in zip(paths, weights, strict=True)
+    ]
+    return json.dumps(rows)
+
+
+def paths_from(text: str) -> tuple[tuple[Trajectory, ...], tuple[float, ...]]:
+    """Read what :func:`paths_to` has written: paths and weights."""
+    rows = json.loads(text)
+    paths = tuple(Trajectory(np.array(row["t"]), np.array(row["xy"]), row["direction"]) for row in rows)
+    return paths, tuple(float(row["weight"]) for row in rows)
+
+
+def estimate_motion(
+    scene: ArrayLike, motion: str, *, method: str, borders: str, camera: Mapping[str, Any], seed: int
+) -> dict[str, float | str]:
+    """Take the calibration photo, shutter open, and estimate the motion from it.
+
+    Parameters
+    ----------
+    scene : (H, W) array_like, linear light 0..1
+    motion : str
+        True path, of :func:`paths_to`.
+    method : str
+        Name of an estimator of :mod:`motdiff.evaluation.methods`.
+    borders : {"real", "symmetric"}
+    camera : mapping
+        Of :meth:`cep.camera.Camera.to_dict`.
+    seed : int
+
+    Returns
+    -------
+    dict with ``paths``, ``mnc`` (sub-pixel, of the path's own PSF), ``cpu_s``
+    """
+    from motdiff.evaluation.methods import named_estimators
+
+    truth = paths_from(motion)[0][0]
+    rng = np.random.default_rng([seed, 1])
+    photo = _exposed(scene, truth.psf(PSF_PX), borders=borders, camera=Camera.from_dict(camera), rng=rng)
+    estimator = named_estimators([method])[method]
+    started = time.process_time()
+    estimate = estimator.estimate(np.clip(photo, 0, 1))
+    seconds = time.process_time() - started
+    found = estimate.trajectories[0]
+    return {
+        "paths": paths_to(estimate.trajectories, estimate.weights),
+        "mnc": mnc_subpixel(found.psf(max(PSF_PX, found.frame_size())), truth.psf(PSF_PX)),
+        "cpu_s": seconds,
+    }
+
+
+def choose_code(
+    known: Known, *, design: str, chips: int, open_range: tuple[int, int], objective: str, camera: Mapping[str, Any],
+    steps: int, seed: int,
+) -> dict[str, float | str]:  # fmt: skip
+    """Choose a code as a design does; returns ``bits`` and ``cpu_s``. See :mod:`cep.bench.coded.designs`."""
+    started = time.process_time()
+    code = designed(
+        design, known, chips=chips, open_range=open_range, objective=objective, camera=Camera.from_dict(camera),
+        steps=steps, rng=np.random.default_rng([seed, 2]),
+    )  # fmt: skip
+    return {"bits": code.bits, "duty": code.duty, "cpu_s": time.process_time() - started}
+
+
+def take_photo(
+    scene: ArrayLike, motion: str, assumed: str | None, *, bits: str, borders: str, light_true: bool, restoration: str,
+    camera: Mapping[str, Any], seed: int,
+) -> dict[str, float]:  # fmt: skip
+    """Take the coded photo along the true motion, restore it, and compare it with the scene.
+
+    Parameters
+    ----------
+    scene : (H, W) array_like, linear light 0..1
+    motion : str
+        True path.
+    assumed : str or None
+        Path that the restoration goes by, of unknown direction unless it says otherwise; None: it knows the true PSF.
+    bits : str
+    borders : {"real", "symmetric"}
+    light_true : bool
+        Whether the photo has the code's light, or as much as with an open shutter.
+    restoration : str
+    camera : mapping
+    seed : int
+
+    Returns
+    -------
+    dict with ``psnr_db`` and ``ssim`` (linear light, up to shift), ``noise_gain_db`` and ``reversed_noise_gain_db``
+    (along the true motion and against it), and ``min_mtf``
+    """
+    taken = photographed(
+        scene, motion, assumed, bits=bits, borders=borders, light_true=light_true, restoration=restoration,
+        camera=camera, seed=seed,
+    )  # fmt: skip
+    truth, code = paths_from(motion)[0][0], ShutterCode(bits)
+    along, against = (measure(path, code, budget=0) for path in (truth, truth.reversed()))
+    return {
+        "psnr_db": psnr_up_to_shift(taken.restored, taken.target, crop_px=_CROP_PX),
+        "ssim": ssim_up_to_shift(taken.restored, taken.target, crop_px=_CROP_PX),
+        "noise_gain_db": along.noise_gain_db,
+        "reversed_noise_gain_db": against.noise_gain_db,
+        "min_mtf": along.min_mtf,
+    }
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Pictures behind one row of figures: linear light, (H, W), and the true coded PSF, (64, 64)."""
+
+    photo: FloatArray
+    psf: FloatArray
+    restored: FloatArray
+    target: FloatArray
+
+
+def photographed(
+    scene: ArrayLike, motion: str, assumed: str | None, *, bits: str, borders: str, light_true: bool, restoration: str,
+    camera: Mapping[str, Any], seed: int,
+) -> Taken:  # fmt: skip
+    """Take and restore the photo of :func:`take_photo`, whose parameters these are."""
+    truth, code = paths_from(motion)[0][0], ShutterCode(bits)
+    psf = coded_psf(truth, code, PSF_PX)
+    scale = 1.0 if light_true else 1 / code.duty
+    shown = np.asarray(scene, dtype=np.float64)
+    rng = np.random.default_rng([seed, 3])
+    photo = _exposed(shown, scale * psf, borders=borders, camera=Camera.from_dict(camera), rng=rng)
+    used = scale * (psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code))
+    restored = np.clip(restore(photo, used, method=restoration).image, 0, 1)
+    return Taken(photo, psf, restored, shown if borders == "symmetric" else visible(shown, PSF_PX))
+
+
+def _assumed_psf(photo: FloatArray, path: Trajectory, code: ShutterCode) -> FloatArray:
+    size = max(PSF_PX, path.frame_size(), path.reversed().frame_size())
+    forward = coded_psf(path, code, size)
+    if path.direction == "known" or code.bits == code.bits[::-1]:
+        return forward
+    return compare_psfs(photo, forward, coded_psf(path.reversed(), code, size)).psf
+
+
+def _exposed(
+    scene: ArrayLike, psf: FloatArray, *, borders: str, camera: Camera, rng: np.random.Generator
+) -> FloatArray:
+    blur = blur_symmetric if borders == "symmetric" else blur_valid
+    light = np.maximum(blur(scene, psf), 0.0)
+    return camera.expose(light, rng=rng)

@@ -1,0 +1,124 @@
+"""What was measured of coded exposure as tables: quality of the photos, noise gain, and how often coding harms."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from cep.bench.cells import Figure
+from cep.bench.coded.designs import DESIGNS
+from cep.bench.coded.run import CodedTable, Shot
+from cep.bench.tables import Column, Table, differences, tabulate
+
+__all__ = ["coded_tables", "harmed", "shots_csv"]
+
+Name = tuple[str, ...]
+_QUALITY = (Column("psnr_db", "PSNR, dB", better="high"), Column("ssim", "SSIM", better="high", digits=3))
+_GAIN = (
+    Column("noise_gain_db", "noise gain, dB", better="low"),
+    Column("worse_noise_gain_db", "worse direction, dB", better="low"),
+)
+_REFERENCE = "both-ways"
+
+
+def coded_tables(measured: CodedTable, *, reference: str = _REFERENCE) -> list[Table]:
+    """Lay out the tables: per light level the quality, and ours less each other row; and the noise gains.
+
+    Parameters
+    ----------
+    measured : CodedTable
+    reference : str
+        Design that the others are taken from; left out where it was not measured.
+    """
+    tables = []
+    for level in measured.protocol.levels:
+        shots = [shot for shot in measured.shots if shot.photons == level]
+        designs = {shot.design for shot in shots}  # after Ctrl-C not the same at every level
+        if not shots:
+            continue
+        figures = _figures(shots)
+        light = "" if level is None else f", {level:,.0f} photo-electrons"
+        tables.append(_table(f"Coded exposure, {measured.protocol.name}{light}", figures, _QUALITY, measured))
+        if reference in designs and len(designs) > 1:
+            less = differences(figures, DESIGNS[reference].label)
+            title = f"{DESIGNS[reference].label} less each other row{light}"
+            tables.append(
+                _table(title, less, tuple(Column(c.figure, c.head, digits=c.digits) for c in _QUALITY), measured)
+            )
+    if gains := _figures(measured.shots):  # the same at every level
+        # by motion: photos tell nothing of a code that does not depend on them
+        tables.append(_table("Noise gain of the codes along the true motion", gains, _GAIN, measured, cluster=2))
+    return tables
+
+
+def harmed(measured: CodedTable, design: str) -> tuple[int, int]:
+    """Count photos and motions where a design's noise gain, in its worse direction, is above the open shutter's.
+
+    Returns
+    -------
+    (int, int)
+        Harmed, and compared.
+    """
+    worse = {(shot.design, shot.photo, shot.motion): _worse(shot.figures) for shot in measured.shots}
+    pairs = [
+        (gain, worse["open", photo, motion])
+        for (name, photo, motion), gain in worse.items()
+        if name == design and ("open", photo, motion) in worse
+    ]
+    return sum(coded > plain for coded, plain in pairs), len(pairs)
+
+
+def shots_csv(measured: CodedTable) -> str:
+    """Lay out every photo as CSV."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    names = ("psnr_db", "ssim", "noise_gain_db", "reversed_noise_gain_db", "min_mtf")
+    writer.writerow(("design", "photo", "motion", "photons", *names, "bits"))
+    for shot in measured.shots:
+        numbers = (shot.figures.get(name) for name in names)
+        writer.writerow(
+            (
+                shot.design,
+                shot.photo,
+                shot.motion,
+                "" if shot.photons is None else f"{shot.photons:g}",
+                *("" if number is None else f"{float(number):.6g}" for number in numbers),
+                shot.bits,
+            )
+        )
+    return stream.getvalue()
+
+
+def _figures(shots: Sequence[Shot]) -> dict[Name, Mapping[str, Figure]]:
+    return {
+        (DESIGNS[shot.design].label, shot.photo, str(shot.motion)): {
+            **shot.figures,
+            "worse_noise_gain_db": _worse(shot.figures),
+        }
+        for shot in shots
+    }
+
+
+def _table(
+    title: str,
+    figures: Mapping[Name, Mapping[str, Figure]],
+    columns: Sequence[Column],
+    measured: CodedTable,
+    *,
+    cluster: int | None = None,
+) -> Table:
+    if cluster is None:
+        # whichever is the scarcer evidence: pairs share photos and motions
+        photos, motions = (len({name[label] for name in figures}) for label in (1, 2))
+        cluster = 1 if photos <= motions else 2
+    rng = np.random.default_rng([measured.protocol.seed, 4])
+    return tabulate(title, figures, columns, rng=rng, row=0, cluster=cluster)
+
+
+def _worse(figures: Mapping[str, Figure]) -> float:
+    gains = [figures.get(name) for name in ("noise_gain_db", "reversed_noise_gain_db")]
+    return max((float(gain) for gain in gains if gain is not None), default=math.nan)

@@ -1,0 +1,45 @@
+"""When what was measured of the coded-exposure table counts no longer: versions of its stages, from their sources."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cep.baselines.dce.shipped import SHIPPED
+from cep.bench.sources import source_version
+from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS
+
+__all__ = ["code_version", "motion_version", "photo_version"]
+
+_STAGES = "cep.bench.coded.stages"
+_ESTIMATED: dict[str, tuple[str, Path]] = {
+    "motdiff-quick": ("motdiff.estimators.motdiff", DEFAULT_WEIGHTS),
+    "parametric": ("motdiff.estimators.parametric", PATH_WEIGHTS),
+}
+_LIGHT = "cep.baselines.light"
+_CHOSEN = {
+    "open": "cep.code",
+    "snapshot": _LIGHT,
+    "strobe": _LIGHT,
+    "random": _LIGHT,
+    "raskar-52": "cep.baselines.published",
+    "dnf": "cep.baselines.dnf",
+    "dce": "cep.baselines.dce.shipped",
+}
+_SEARCH = "cep.search.annealing.anneal"
+
+
+def motion_version(method: str) -> str:
+    """Fingerprint of what estimates a motion: an estimator of :data:`cep.bench.coded.run.ESTIMATORS`."""
+    module, weights = _ESTIMATED[method]
+    return source_version([module, "motdiff.metrics", "motdiff.simulate"], alone=[_STAGES], files=[weights])
+
+
+def code_version(design: str) -> str:
+    """Fingerprint of what chooses a code: a design of :data:`cep.bench.coded.designs.DESIGNS`."""
+    files = [SHIPPED] if design == "dce" else []
+    return source_version([_CHOSEN.get(design, _SEARCH)], alone=["cep.bench.coded.designs"], files=files)
+
+
+def photo_version() -> str:
+    """Fingerprint of what takes, restores and compares a photo."""
+    return source_version(["cep.restore", "cep.mtf", "motdiff.metrics", "motdiff.simulate"], alone=[_STAGES])

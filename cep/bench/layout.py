@@ -1,0 +1,82 @@
+"""A benchmark's tables as files: Markdown for people, CSV and JSON for programs."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from cep.bench.cache import ENGINE
+from cep.bench.tables import Table
+from cep.files import json_text
+
+__all__ = ["TABLES_SCHEMA", "tables_csv", "tables_json", "tables_markdown"]
+
+TABLES_SCHEMA = "cep.bench/1"
+
+
+def tables_markdown(tables: Sequence[Table]) -> str:
+    """Lay out tables as Markdown, bold where a paired test says so."""
+    blocks = []
+    for table in tables:
+        lines = [table.head, ("---", *("---:",) * (len(table.head) - 1)), *table.lines(("**", "**"))]
+        body = "\n".join("| " + " | ".join(text.replace("|", "\\|") for text in line) + " |" for line in lines)
+        blocks.append(f"**{table.title}**\n\n{body}\n")
+    return "\n".join(blocks)
+
+
+def tables_csv(tables: Sequence[Table]) -> str:
+    """Lay out tables as CSV, a line per row and figure; empty where not measured."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    heads = ("table", "row", "figure", "cells", "n", "mean", "low", "high", "median", "sd", "q05", "q95", "bold")
+    writer.writerow(heads)
+    for table in tables:
+        for label, entries in table.rows.items():
+            for entry, column in zip(entries, table.columns, strict=True):
+                one, ends = entry.summary, entry.interval
+                numbers = (
+                    one.mean,
+                    *((ends.low, ends.high) if ends else (None, None)),
+                    one.median,
+                    one.sd,
+                    one.q05,
+                    one.q95,
+                )
+                texts = ("" if number is None or math.isnan(number) else f"{number:.6g}" for number in numbers)
+                start = (table.title, label, column.figure, table.cells[label], one.n)
+                writer.writerow((*start, *texts, "yes" if entry.bold else "no"))
+    return stream.getvalue()
+
+
+def tables_json(
+    tables: Sequence[Table], *, command: str, seed: int, machines: Sequence[Mapping[str, Any]], warnings: Sequence[str]
+) -> str:
+    """Lay out tables as JSON (schema ``cep.bench/1``) with all that tells how they were made.
+
+    Parameters
+    ----------
+    tables : sequence of Table
+    command : str
+        What makes them again.
+    seed : int
+    machines : sequence of mapping
+        As of :attr:`cep.bench.engine.Outcome.machines`, with the versions of what ran there.
+    warnings : sequence of str
+    """
+    listed = [
+        {
+            "title": table.title,
+            "columns": [asdict(column) for column in table.columns],
+            "rows": [
+                {"row": label, "cells": table.cells[label], "entries": [asdict(entry) for entry in entries]}
+                for label, entries in table.rows.items()
+            ],
+        }
+        for table in tables
+    ]
+    made = {"command": command, "seed": seed, "engine": ENGINE, "machines": machines, "warnings": warnings}
+    return json_text({"schema": TABLES_SCHEMA, **made, "tables": listed})

@@ -1,0 +1,206 @@
+"""Sharp photos for benchmarks: any folder, the layouts of published data sets, or the photos that anyone has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.images import read_image
+from motdiff.crops import luminance
+
+__all__ = ["Layout", "bundled_photos", "crop", "layout_of", "photo_folder", "pick"]
+
+FloatArray = NDArray[np.float64]
+
+Layout = Literal["photos", "gopro", "rsblur", "levin", "koehler"]
+"""What a folder holds, told by its content: see :func:`layout_of`."""
+
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+_BLURRED = ("blur", "blur_gamma")
+_COMPARED = 4
+_BUNDLED = (  # those that a quick run picks are the first and the sixth
+    "astronaut.png",
+    "motorcycle_left.png",
+    "camera.png",
+    "brick.png",
+    "hubble_deep_field.jpg",
+    "coffee.png",
+    "rocket.jpg",
+    "gravel.png",
+    "ihc.png",
+    "retina.jpg",
+)
+
+
+def bundled_photos() -> tuple[Path, ...]:
+    """Ten photos that scikit-image carries: for a run without a folder, and too few and too odd for a claim."""
+    found = find_spec("skimage")
+    assert found is not None
+    assert found.origin is not None
+    folder = Path(found.origin).parent / "data"
+    return tuple(folder / name for name in _BUNDLED)
+
+
+def layout_of(folder: Path | str) -> Layout:
+    """Tell what a folder holds.
+
+    "gopro" has folders ``sharp`` beside ``blur`` or ``blur_gamma``, "rsblur" has ``real_blur/real_blur.png`` beside
+    ``gt/gt_sharp.png``, "levin" has ``.mat`` files, "koehler" has ``Blurry1_1.png``; anything else is "photos".
+
+    Raises
+    ------
+    ValueError
+        If there is no such folder.
+    """
+    root = _folder(folder)
+    if any(root.glob("*.mat")):
+        return "levin"
+    if any(root.glob("Blurry*_*.png")):
+        return "koehler"
+    if next(root.rglob("gt_sharp.png"), None) or next(root.rglob("real_blur.png"), None):
+        return "rsblur"
+    halves = {path.name for path in root.rglob("*") if path.name in ("sharp", *_BLURRED) and path.is_dir()}
+    return "gopro" if halves else "photos"
+
+
+def photo_folder(folder: Path | str) -> tuple[Path, ...]:
+    """List the sharp photos of a folder, sorted: all of them, or the sharp halves of GoPro's and RSBlur's layouts.
+
+    Parameters
+    ----------
+    folder : folder, searched with its subfolders
+
+    Raises
+    ------
+    ValueError
+        If there is no such folder, it holds no photos or blurred ones only, or blurred and sharp ones are mixed up: a
+        sequence lacks one half, names differ, or what is called sharp is less sharp.
+    """
+    root = _folder(folder)
+    layout = layout_of(root)
+    if layout == "levin":
+        raise ValueError(f"{root}: holds Levin's .mat files, blurred already; a folder of sharp photos is needed")
+    if layout == "koehler":
+        raise ValueError(f"{root}: holds Koehler's blurred photos alone; a folder of sharp photos is needed")
+    if layout == "gopro":
+        return _sharp_of_gopro(root)
+    if layout == "rsblur":
+        found = sorted(root.rglob("gt/gt_sharp.png"))
+        what = "gt/gt_sharp.png, the sharp halves of RSBlur's layout"
+    elif root.name in _BLURRED:
+        raise ValueError(f"{root}: is the blurred half of GoPro's layout; give the folder above it")
+    else:
+        found, what = _photos(root.rglob("*")), "photos (.png, .jpg or .tif)"
+    if not found:
+        raise ValueError(f"{root}: holds no {what}")
+    return tuple(found)
+
+
+def pick(photos: Sequence[Path], count: int, *, least_px: int) -> tuple[Path, ...]:
+    """Choose photos evenly over the list (neighbours are often frames of one film), all of them where there are fewer.
+
+    Parameters
+    ----------
+    photos : sequence of Path
+    count : int
+    least_px : int, px
+        Shortest side that is needed.
+
+    Raises
+    ------
+    ValueError
+        If a chosen photo is too small or cannot be read; the line names it.
+    """
+    number = min(count, len(photos))
+    chosen = tuple(photos[i * len(photos) // number] for i in range(number))
+    for path in chosen:
+        _large_enough(path, read_image(path), least_px)
+    return chosen
+
+
+def crop(path: Path, size: int, rng: np.random.Generator, *, gamma: str = "linear") -> FloatArray:
+    """Cut a square at random from a photo.
+
+    Parameters
+    ----------
+    path : Path
+    size : int, px
+    rng : numpy Generator
+    gamma : {"linear", "srgb"}
+        "linear" takes code values for light, as the literature does; "srgb" turns them into light.
+
+    Returns
+    -------
+    (size, size) or (size, size, 3) float, 0..1
+
+    Raises
+    ------
+    ValueError
+        If the photo is too small or cannot be read; the line names it.
+    """
+    image = read_image(path, gamma=gamma)
+    _large_enough(path, image, size)
+    row, column = (int(rng.integers(length - size + 1)) for length in image.shape[:2])
+    return np.ascontiguousarray(image[row : row + size, column : column + size])
+
+
+def _folder(folder: Path | str) -> Path:
+    root = Path(folder)
+    if not root.is_dir():
+        raise ValueError(f"{root}: {'is a file, a folder of photos is needed' if root.exists() else 'no such folder'}")
+    return root
+
+
+def _photos(paths: Iterable[Path]) -> list[Path]:
+    return sorted(p for p in paths if p.suffix.lower() in _SUFFIXES and not p.name.startswith(".") and p.is_file())
+
+
+def _sharp_of_gopro(root: Path) -> tuple[Path, ...]:
+    halves = [path for path in root.rglob("*") if path.name in ("sharp", *_BLURRED) and path.is_dir()]
+    sharp: list[Path] = []
+    pairs: list[tuple[Path, Path]] = []
+    for sequence in sorted({half.parent for half in halves}):
+        blurred = [half for half in halves if half.parent == sequence and half.name in _BLURRED]
+        if not (sequence / "sharp").is_dir():
+            raise ValueError(f"{sequence}: has {blurred[0].name} but no folder sharp beside it, as GoPro's layout has")
+        found = {path.name: path for path in _photos((sequence / "sharp").glob("*"))}
+        for half in blurred:
+            others = {path.name: path for path in _photos(half.glob("*"))}
+            if odd := sorted(found.keys() ^ others.keys()):
+                raise ValueError(f"{sequence}: {odd[0]} is in only one of {half.name} and sharp, which must be pairs")
+            pairs += [(others[name], found[name]) for name in found]
+        sharp += found.values()
+    if not sharp:
+        raise ValueError(f"{root}: its folders sharp hold no photos (.png, .jpg or .tif)")
+    _check_not_swapped(root, pairs)
+    return tuple(sharp)
+
+
+def _check_not_swapped(root: Path, pairs: Sequence[tuple[Path, Path]]) -> None:
+    """Refuse where most of a few pairs, evenly chosen, are sharper on the blurred side: a still camera may tie."""
+    count = min(_COMPARED, len(pairs))
+    some = [pairs[i * len(pairs) // count] for i in range(count)]
+    swapped = [pair for pair in some if _detail(pair[0]) > _detail(pair[1])]
+    if 2 * len(swapped) > count:
+        blurred, sharp = swapped[0]
+        raise ValueError(
+            f"{root}: blurred and sharp photos seem to be swapped: {blurred.parent.name}/{blurred.name} is "
+            f"sharper than {sharp.parent.name}/{sharp.name}"
+        )
+
+
+def _detail(path: Path) -> float:
+    """Mean size of the differences between neighbours."""
+    grey = luminance(read_image(path, gamma="linear"))
+    return float(np.abs(np.diff(grey, axis=0)).mean() + np.abs(np.diff(grey, axis=1)).mean())
+
+
+def _large_enough(path: Path, image: FloatArray, least_px: int) -> None:
+    height, width = image.shape[:2]
+    if min(height, width) < least_px:
+        raise ValueError(f"{path}: {width} x {height} px is too small, the protocol needs {least_px} px a side")

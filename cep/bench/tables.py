@@ -1,0 +1,246 @@
+"""Tables of a benchmark: mean and interval per row and figure, bold only where a paired test says so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cep.bench.cells import Figure
+from cep.bench.statistics import Interval, Summary, mean_interval, paired_interval, summed_up
+
+__all__ = ["Column", "Entry", "Table", "differences", "tabulate"]
+
+Name = tuple[str, ...]
+Figures = Mapping[Name, Mapping[str, Figure]]
+"""Figures by name of the cell, as of :attr:`cep.bench.engine.Outcome.figures`."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A figure to show.
+
+    Attributes
+    ----------
+    figure : str
+        Its key in the figures of a cell.
+    head : str
+        What people read, with the unit.
+    better : "high", "low" or None
+        Which row may be bold; None: no row.
+    digits : int
+        Decimals.
+    """
+
+    figure: str
+    head: str
+    better: Literal["high", "low"] | None = None
+    digits: int = 2
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A figure of a row.
+
+    Attributes
+    ----------
+    summary : Summary
+        Of the cells that have the figure.
+    interval : Interval or None
+        Of the mean; None where nothing finite was measured.
+    lead : Interval or None
+        The best row's: of its paired differences from the runner-up, above 0 where it is better.
+    runner_up : str
+    bold : bool
+        Whether the lead's interval lies above 0 and no cell of the runner-up's is missing in this row.
+    """
+
+    summary: Summary
+    interval: Interval | None
+    lead: Interval | None = None
+    runner_up: str = ""
+    bold: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Attributes
+    ----------
+    title : str
+    columns : tuple of Column
+    rows : mapping from the row's label to an Entry per column
+    cells : mapping from the row's label to the number of its cells
+    """
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: Mapping[str, tuple[Entry, ...]]
+    cells: Mapping[str, int]
+
+    @property
+    def head(self) -> tuple[str, ...]:
+        """What stands above the lines."""
+        return ("", *(column.head for column in self.columns), "n")
+
+    def lines(self, mark: tuple[str, str] = ("", "")) -> list[tuple[str, ...]]:
+        """Lay out the rows: mean and its interval, and how many cells have the figure where some do not.
+
+        Parameters
+        ----------
+        mark : (str, str)
+            What stands before and after a bold figure: ``("[bold]", "[/bold]")`` for :func:`cep.cli.console.table`.
+        """
+        return [
+            (
+                label,
+                *(
+                    _in_words(entry, column.digits, self.cells[label], mark)
+                    for entry, column in zip(entries, self.columns, strict=True)
+                ),
+                str(self.cells[label]),
+            )
+            for label, entries in self.rows.items()
+        ]
+
+
+def tabulate(
+    title: str,
+    figures: Figures,
+    columns: Sequence[Column],
+    *,
+    rng: np.random.Generator,
+    row: int = 0,
+    cluster: int = 1,
+    level: float = 0.95,
+) -> Table:
+    """Sum up figures by one label of the cells' names; cells whose other labels agree are pairs.
+
+    Parameters
+    ----------
+    title : str
+    figures : mapping from the names of cells
+    columns : sequence of Column
+    rng : numpy.random.Generator
+        Of the bootstrap.
+    row, cluster : int
+        Which labels are the row and what cells share, a photo or a motion: evidence is counted by it.
+    level : float
+        Of the intervals and tests.
+
+    Raises
+    ------
+    ValueError
+        If a name has too few labels, or a column shows what is no number.
+    """
+    if row == cluster:
+        raise ValueError(f"cluster: must be another label than the row's, got {cluster} for both")
+    for name in figures:
+        if not (0 <= row < len(name) and 0 <= cluster < len(name)):
+            raise ValueError(f"figures: labels {row} and {cluster} are wanted of every name, got {name}")
+    labels = list(dict.fromkeys(name[row] for name in figures))
+    made: dict[str, list[Entry]] = {label: [] for label in labels}
+    for column in columns:
+        by_row = {label: _values(figures, column.figure, row, label) for label in labels}
+        entries = {}
+        for label, values in by_row.items():
+            interval = None
+            if values and all(map(math.isfinite, values.values())):
+                shared = [name[cluster] for name in values]
+                interval = mean_interval(list(values.values()), rng=rng, clusters=shared, level=level)
+            entries[label] = Entry(summed_up(values.values()), interval)
+        if column.better is not None:
+            entries |= _best(by_row, entries, column.better, cluster, rng, level)
+        for label in labels:
+            made[label].append(entries[label])
+    rows = {label: tuple(entries_) for label, entries_ in made.items()}
+    return Table(title, tuple(columns), rows, {label: sum(name[row] == label for name in figures) for label in labels})
+
+
+def differences(figures: Figures, reference: str, *, row: int = 0) -> dict[Name, dict[str, Figure]]:
+    """Take every row from the reference row, pair by pair; a figure that one of them lacks is None.
+
+    Parameters
+    ----------
+    figures : mapping from the names of cells
+    reference : str
+        Label of the row that others are taken from.
+    row : int
+
+    Raises
+    ------
+    ValueError
+        If there is no such row.
+    """
+    if reference not in (name[row] for name in figures):
+        raise ValueError(f"reference: must be one of the rows, got {reference!r}")
+    found: dict[Name, dict[str, Figure]] = {}
+    for name, own in figures.items():
+        if name[row] == reference:
+            continue
+        other = figures.get((*name[:row], reference, *name[row + 1 :]), {})
+        found[name] = {key: _difference(other.get(key), figure) for key, figure in own.items()}
+    return found
+
+
+def _values(figures: Figures, figure: str, row: int, label: str) -> dict[Name, float]:
+    """Return a row's values by the name without the row's label; those not measured are left out."""
+    values = {}
+    for name, own in figures.items():
+        value = own.get(figure) if name[row] == label else None
+        if isinstance(value, str):
+            raise ValueError(f"columns: {figure} is no number, got {value!r}")
+        if value is not None and not math.isnan(value):
+            values[(*name[:row], "", *name[row + 1 :])] = float(value)
+    return values
+
+
+def _difference(first: Figure, second: Figure) -> float | None:
+    if first is None or second is None or isinstance(first, str) or isinstance(second, str):
+        return None
+    return float(first) - float(second)
+
+
+def _best(
+    by_row: Mapping[str, Mapping[Name, float]],
+    entries: Mapping[str, Entry],
+    better: Literal["high", "low"],
+    cluster: int,
+    rng: np.random.Generator,
+    level: float,
+) -> dict[str, Entry]:
+    """Return the best row's entry with its test against the runner-up, where there are both."""
+    sign = 1 if better == "high" else -1
+    ranked = sorted(
+        (label for label in entries if by_row[label]), key=lambda label: -sign * entries[label].summary.mean
+    )
+    if len(ranked) < 2:
+        return {}
+    best, second = ranked[:2]
+    shared = [name for name in by_row[best] if name in by_row[second]]
+    if not shared or not all(math.isfinite(by_row[label][name]) for label in (best, second) for name in shared):
+        return {}
+    lead = paired_interval(
+        [sign * by_row[best][name] for name in shared],
+        [sign * by_row[second][name] for name in shared],
+        rng=rng,
+        clusters=[name[cluster] for name in shared],
+        level=level,
+    )
+    whole = len(shared) == len(by_row[second])
+    entry = entries[best]
+    return {best: Entry(entry.summary, entry.interval, lead, second, bold=whole and lead.low > 0)}
+
+
+def _in_words(entry: Entry, digits: int, cells: int, mark: tuple[str, str]) -> str:
+    if entry.summary.n == 0:
+        return "–"
+    text = f"{entry.summary.mean:.{digits}f}"
+    text = f"{mark[0]}{text}{mark[1]}" if entry.bold else text
+    if entry.interval is not None and math.isfinite(entry.interval.high):
+        text += f" ({entry.interval.low:.{digits}f}..{entry.interval.high:.{digits}f})"
+    return text if entry.summary.n == cells else f"{text}, {entry.summary.n} of {cells}"

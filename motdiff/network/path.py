@@ -1,0 +1,80 @@
+"""One quadratic path predicted from the condition at once: Motion-ETR's class of motions, as a baseline."""
+
+from __future__ import annotations
+
+import itertools
+
+import torch
+from torch import Tensor, nn
+
+from motdiff.network.condition import ConditionNetwork
+from motdiff.network.config import NetworkConfig
+from motdiff.network.physics import GRID
+
+__all__ = ["PathHead", "PathNetwork"]
+
+_SCALE_PX = 16.0  # of a coefficient where the output is 1
+_GROUPS = 8
+_HIDDEN = 128
+
+
+class PathHead(nn.Module):
+    """Condition (B, C, 64, 64) to the coefficients (B, 2, 2) of a path, px; three strided convolutions, two layers.
+
+    A path and its reverse, ``a -> -a``, look the same. So it is the complex square ``a^2 / |a|`` that is predicted,
+    which they share: a network cannot jump from one sign to the other between photos that are nearly alike.
+
+    Parameters
+    ----------
+    channels : int
+        Channels of the condition, a multiple of 8.
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        widths = (channels, channels, 32, 32)
+        layers: list[nn.Module] = []
+        for inputs, outputs in itertools.pairwise(widths):
+            layers += [nn.GroupNorm(_GROUPS, inputs), nn.SiLU(), nn.Conv2d(inputs, outputs, 3, 2, 1)]
+        self.narrow = nn.Sequential(*layers)  # (B, 32, 8, 8)
+        self.hidden = nn.Linear(widths[-1] * (GRID // 8) ** 2, _HIDDEN)
+        self.output = nn.Linear(_HIDDEN, 4)
+        nn.init.normal_(self.output.weight, std=0.02)
+        self.output.bias = nn.Parameter(torch.tensor([0.5, 0.0, 0.0, 0.0]))  # no gradient leads away from a = 0
+
+    def forward(self, condition: Tensor) -> Tensor:
+        """Coefficients (B, 2, 2): ``a`` and ``b`` of :class:`motdiff.quadratic.QuadraticPath`, x before y, px."""
+        hidden = nn.functional.silu(self.hidden(self.narrow(condition).flatten(1)))
+        real, imaginary, *bend = (_SCALE_PX * self.output(hidden)).unbind(dim=1)
+        length = torch.sqrt(real.square() + imaginary.square() + 1e-6)
+        half_rad = torch.atan2(imaginary, real) / 2
+        drift = torch.stack([length * half_rad.cos(), length * half_rad.sin()], dim=1)
+        return torch.stack([drift, torch.stack(bend, dim=1)], dim=1)
+
+
+class PathNetwork(ConditionNetwork):
+    """Photo and physics maps to a quadratic path, through the condition that a `MotDiffNetwork` of the sizes has.
+
+    Parameters
+    ----------
+    config : NetworkConfig
+        Sizes; kept as `config`. Its target is "path".
+
+    Attributes
+    ----------
+    head : PathHead
+
+    References
+    ----------
+    Zhang, Wang, Maybank, Tao, "Exposure trajectory recovery from motion blur", TPAMI 2021 (Motion-ETR: per pixel, with
+    a photo encoder of its own; here one path per photo).
+    """
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__(config)
+        self.head = PathHead(self.condition_channels)
+
+    def forward(self, photo: Tensor | None = None, physics: Tensor | None = None) -> Tensor:
+        """Coefficients (B, 2, 2), px, of the path in each photo."""
+        coefficients: Tensor = self.head(self.condition(photo, physics))
+        return coefficients

@@ -1,0 +1,99 @@
+"""Snapshot and strobe against brute force, and the spread of random codes."""
+
+import numpy as np
+import pytest
+
+from cep.baselines.light import RandomCodes, best_snapshot, best_strobe, random_codes
+from cep.camera import Camera
+from cep.certify.minimum import min_chip
+from cep.code import ShutterCode
+from cep.search.objective import Objective
+from cep.search.problem import SearchProblem
+from motdiff.trajectory import Trajectory
+
+BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
+STRAIGHT = Trajectory.straight(12.0, angle_rad=0.3)
+
+
+def objective(path, chips, **options):
+    return Objective(SearchProblem.along(path, chips=chips, **({"objective": "mse"} | options)), oversampling=8)
+
+
+def least_cost(judge, codes):
+    return judge.cost_of(np.array(codes, dtype=np.int8)).min()
+
+
+def cost(judge, code):
+    return judge.cost_of(code.array[None])[0]
+
+
+@pytest.mark.parametrize("path", [BENT, STRAIGHT])
+@pytest.mark.parametrize("wanted", ["mse", "min-mtf"])
+def test_the_snapshot_is_the_best_of_all_runs(path, wanted):
+    chips = 14
+    judge = objective(path, chips, objective=wanted)
+    every = [[first <= i < end for i in range(chips)] for end in range(1, chips + 1) for first in range(end)]
+    found = best_snapshot(judge)
+    assert found.pulses == 1
+    assert cost(judge, found) == pytest.approx(least_cost(judge, every), abs=1e-4)
+
+
+def test_a_noisier_camera_wants_a_longer_snapshot():
+    lengths = [
+        best_snapshot(objective(STRAIGHT, 40, camera=Camera(photons_full_scale=1000, read_noise_e=noise))).open_chips
+        for noise in (1.0, 10.0, 100.0)
+    ]
+    assert lengths == sorted(lengths)
+    assert lengths[0] < lengths[-1]
+
+
+@pytest.mark.parametrize("path", [BENT, STRAIGHT])
+def test_the_strobe_is_the_best_of_all_periodic_codes(path):
+    chips = 15
+    judge = objective(path, chips)
+    every = {
+        (("1" * width + "0" * (period - width)) * chips)[:chips]
+        for period in range(2, chips)
+        for width in range(1, period)
+    }
+    found = best_strobe(judge)
+    assert found.bits in every
+    assert found.pulses >= 2
+    assert cost(judge, found) == pytest.approx(
+        least_cost(judge, [[int(bit) for bit in code] for code in every]), abs=1e-4
+    )
+
+
+@pytest.mark.parametrize("chips", [12, 20, 30])
+def test_whole_periods_have_true_zeros_along_a_straight_line(chips):
+    """Why only "mse" ranks strobes everywhere: sum z^(jp) vanishes at roots of unity."""
+    for period in (2, 3, 5, 6):
+        if chips % period == 0:
+            assert min_chip(ShutterCode(("1" + "0" * (period - 1)) * (chips // period))) < 1e-6
+
+
+def test_a_strobe_of_two_chips_is_refused():
+    with pytest.raises(ValueError, match=r"^chips: a strobe needs at least 3, got 2"):
+        best_strobe(objective(BENT, 2))
+
+
+def test_random_codes_come_ranked_with_their_spread():
+    judge = objective(BENT, 16, open_range=(6, 9), min_open=2)
+    found = random_codes(judge, 41, rng=np.random.default_rng(0))
+    assert judge.problem.satisfied(found.codes).all()
+    assert (np.diff(found.costs_db) >= 0).all()
+    np.testing.assert_allclose(found.costs_db, judge.cost_of(found.codes), atol=1e-4)
+    assert cost(judge, found.middle) == pytest.approx(np.median(found.costs_db), abs=1e-4)
+    low, middle, high = found.quantiles_db()
+    assert low < middle < high
+    np.testing.assert_allclose([low, high], np.quantile(found.costs_db, [0.1, 0.9]))
+
+
+def test_of_an_even_number_the_worse_one_in_the_middle_is_taken():
+    codes = np.eye(4, dtype=np.int8)
+    assert RandomCodes(codes, np.arange(4.0)).middle == ShutterCode("0010")
+
+
+def test_no_random_codes_are_refused():
+    with pytest.raises(ValueError, match=r"^count: must be at least 1, got 0"):
+        random_codes(objective(BENT, 8), 0, rng=np.random.default_rng(0))

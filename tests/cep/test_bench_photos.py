@@ -1,0 +1,161 @@
+"""Photos for benchmarks: what a folder holds, which photos are taken, and what is refused."""
+
+import numpy as np
+import pytest
+
+from cep.bench.photos import bundled_photos, crop, layout_of, photo_folder, pick
+from cep.images import read_image, write_image
+
+
+def photo(path, *, side=(40, 50), blurred=False, seed=0):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = np.random.default_rng(seed).random(side)
+    if blurred:
+        image = (image + np.roll(image, 1, 0) + np.roll(image, 1, 1) + np.roll(image, (1, 1), (0, 1))) / 4
+    write_image(path, image, gamma="linear")
+    return path
+
+
+def gopro(root, *, swapped=False):
+    for sequence in ("GOPR01", "GOPR02"):
+        for number in (1, 2):
+            for half in ("sharp", "blur"):
+                photo(root / sequence / half / f"{number:06d}.png", blurred=(half == "blur") != swapped, seed=number)
+    return root
+
+
+def test_a_folder_of_photos_is_listed_in_order_with_its_subfolders(tmp_path):
+    made = [photo(tmp_path / name) for name in ("b.png", "a/z.tif", "a/y.jpg")]
+    photo(tmp_path / "._b.png")  # what macOS leaves beside photos
+    (tmp_path / "notes.txt").write_text("no photo")
+    assert layout_of(tmp_path) == "photos"
+    assert list(photo_folder(tmp_path)) == sorted(made)
+    assert photo_folder(str(tmp_path)) == photo_folder(tmp_path)
+
+
+def test_only_the_sharp_half_of_gopro_and_rsblur_is_taken(tmp_path):
+    root = gopro(tmp_path / "gopro")
+    assert layout_of(root) == layout_of(root / "GOPR01") == "gopro"
+    assert [path.relative_to(root).as_posix() for path in photo_folder(root)] == [
+        f"GOPR0{sequence}/sharp/00000{number}.png" for sequence in (1, 2) for number in (1, 2)
+    ]
+    rsblur = tmp_path / "rsblur"
+    for name in ("real_blur/real_blur.png", "gt/gt_sharp.png", "avg65_img/avg_blur.png"):
+        photo(rsblur / "0001" / "000002" / name)
+    assert layout_of(rsblur) == "rsblur"
+    assert photo_folder(rsblur) == (rsblur / "0001/000002/gt/gt_sharp.png",)
+
+
+def test_the_layouts_of_published_blurs_are_told_by_content(tmp_path):
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "im01_ker01.mat").write_bytes(b"")
+    photo(tmp_path / "two" / "Blurry1_1.png")
+    assert layout_of(tmp_path / "one") == "levin"
+    assert layout_of(tmp_path / "two") == "koehler"
+
+
+def no_such(root):
+    return root / "nowhere", "no such folder"
+
+
+def a_file(root):
+    return photo(root / "a.png"), "a folder of photos is needed"
+
+
+def empty(root):
+    (root / "notes.txt").write_text("")
+    return root, "holds no photos"
+
+
+def levin(root):
+    (root / "im01_ker01.mat").write_bytes(b"")
+    return root, "sharp photos is needed"
+
+
+def koehler(root):
+    photo(root / "Blurry1_1.png")
+    return root, "sharp photos is needed"
+
+
+def no_sharp_half(root):
+    photo(root / "GOPR01" / "blur" / "1.png")
+    return root, "GOPR01: has blur but no folder sharp"
+
+
+def an_unpaired_photo(root):
+    gopro(root)
+    (root / "GOPR02" / "blur" / "000002.png").unlink()
+    return root, "000002.png is in only one of blur and sharp"
+
+
+def the_blurred_half(root):
+    photo(root / "blur" / "1.png")
+    return root / "blur", "blurred half"
+
+
+def swapped_halves(root):
+    return gopro(root, swapped=True), "swapped: blur/000001.png is sharper than sharp/000001.png"
+
+
+def empty_halves(root):
+    (root / "GOPR01" / "sharp").mkdir(parents=True)
+    (root / "GOPR01" / "blur").mkdir()
+    return root, "hold no photos"
+
+
+def rsblur_without_sharp(root):
+    photo(root / "0001" / "000001" / "real_blur" / "real_blur.png")
+    return root, "gt/gt_sharp.png"
+
+
+REFUSED = (no_such, a_file, empty, levin, koehler, no_sharp_half, an_unpaired_photo, the_blurred_half, swapped_halves,
+           empty_halves, rsblur_without_sharp)  # fmt: skip
+
+
+@pytest.mark.parametrize("made", REFUSED)
+def test_folders_without_sharp_photos_or_with_mixed_ones_are_refused(tmp_path, made):
+    folder, message = made(tmp_path)
+    with pytest.raises(ValueError, match=r"^[^\n]*$") as caught:
+        photo_folder(folder)
+    assert message in str(caught.value)
+    assert str(folder) in str(caught.value)
+
+
+def test_a_still_camera_is_not_taken_for_swapped_halves(tmp_path):
+    for half in ("sharp", "blur"):
+        photo(tmp_path / "GOPR01" / half / "1.png")
+    assert len(photo_folder(tmp_path)) == 1
+
+
+def test_photos_are_picked_over_the_whole_list(tmp_path):
+    photos = [photo(tmp_path / f"{i:02d}.png") for i in range(9)]
+    assert [path.stem for path in pick(photos, 3, least_px=40)] == ["00", "03", "06"]
+    assert pick(photos, 20, least_px=40) == tuple(photos)
+    with pytest.raises(ValueError, match=r"00\.png: 50 x 40 px is too small, the protocol needs 41 px"):
+        pick(photos, 3, least_px=41)
+    photos[3].write_bytes(photos[3].read_bytes()[:200])
+    with pytest.raises(ValueError, match=r"03\.png.*damaged"):
+        pick(photos, 3, least_px=40)
+
+
+def test_a_crop_is_a_part_of_the_photo_and_every_place_may_come(tmp_path):
+    path = photo(tmp_path / "a.png")
+    whole = read_image(path, gamma="linear")
+    corners = set()
+    for seed in range(120):
+        part = crop(path, 38, np.random.default_rng(seed))
+        places = [(row, column) for row in range(3) for column in range(13)]
+        (found,) = [(r, c) for r, c in places if np.array_equal(whole[r : r + 38, c : c + 38], part)]
+        corners.add(found)
+    assert {row for row, _ in corners} == {0, 1, 2}
+    assert {column for _, column in corners} == set(range(13))
+    light = crop(path, 38, np.random.default_rng(0), gamma="srgb")
+    assert light.mean() < crop(path, 38, np.random.default_rng(0)).mean()
+    with pytest.raises(ValueError, match=r"a\.png: 50 x 40 px is too small"):
+        crop(path, 41, np.random.default_rng(0))
+
+
+def test_anyone_has_photos_large_enough_for_the_protocols():
+    photos = bundled_photos()
+    assert len(set(photos)) == 10
+    assert pick(photos, 10, least_px=256 + 63) == photos
