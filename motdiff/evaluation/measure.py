@@ -16,9 +16,8 @@ from motdiff.metrics import (
     mnc,
     mnc_subpixel,
     path_distance_px,
-    psnr_up_to_shift,
+    psnr_ssim_up_to_shift,
     register_shift,
-    ssim_up_to_shift,
 )
 
 __all__ = ["FIGURES", "Measured", "Row", "measure_estimator", "measure_psf", "restored"]
@@ -193,7 +192,7 @@ def _restoration(case: Case, psf: FloatArray) -> tuple[float, float]:
         return _NAN, _NAN
     sharp = luminance(case.sharp)
     image = restored(luminance(case.photo), _laid_on(case.psf, psf))
-    return psnr_up_to_shift(image, sharp), ssim_up_to_shift(image, sharp)
+    return psnr_ssim_up_to_shift(image, sharp)
 
 
 def _laid_on(truth: FloatArray, psf: FloatArray) -> FloatArray:

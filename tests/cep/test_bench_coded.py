@@ -24,14 +24,15 @@ from cep.bench.coded.versions import code_version, motion_version, photo_version
 from cep.camera import Camera
 from cep.code import ShutterCode
 from cep.mtf import measure
+from cep.restore.wiener import wiener
 from motdiff.estimators.base import MotionEstimate
 from motdiff.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
 
 TINY = CodedProtocol(
     name="tiny", photos=1, motions=2, crop_px=96, borders="symmetric", shakes="mixed", chips=16, open_range=(6, 10),
-    objective="noise", photons=(), design_photons=1e4, bits=12, read_noise_e=0.0, restoration="inverse", knows_psf=True,
-    steps=2000, seed=0, quick_photos=1, quick_motions=1, quick_steps=1000,
+    objective="noise", photons=(), design_photons=1e4, bits=12, read_noise_e=0.0, restoration="inverse", border_rounds=10,
+    restored_by="psf", steps=2000, seed=0, quick_photos=1, quick_motions=1, quick_steps=1000,
 )  # fmt: skip
 CLEAN = Camera(photons_full_scale=1e9, read_noise_e=0.0, bits=16).to_dict()
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11], [7, 16]])
@@ -50,7 +51,7 @@ def shown(
     return {
         "scene": blocks(side), "motion": paths_to([motion], [1.0]),
         "assumed": assumed and paths_to([assumed], [1.0]), "bits": bits, "borders": borders, "light_true": light_true,
-        "restoration": "wiener", "camera": camera, "seed": 0, **other,
+        "restoration": "wiener", "border_rounds": 10, "camera": camera, "seed": 0, **other,
     }  # fmt: skip
 
 
@@ -61,7 +62,7 @@ def test_the_papers_protocol_is_the_papers():
     """arXiv 2510.26173, section IV: 10 photos x 100 motions, 256-px crops, mirrored borders, inverse filter."""
     paper = coded_protocol("paper")
     assert (paper.photos, paper.motions, paper.crop_px, paper.borders) == (10, 100, 256, "symmetric")
-    assert (paper.levels, paper.restoration, paper.knows_psf) == ((None,), "inverse", True)
+    assert (paper.levels, paper.restoration, paper.restored_by) == ((None,), "inverse", "psf")
     assert paper.calibration_camera == paper.camera(None)
     assert paper.camera(None).noise_variance(0.5) == pytest.approx((1 / 255) ** 2 / 12, rel=1e-3)
     assert paper.quick == replace(paper, photos=2, motions=2, steps=paper.quick_steps)
@@ -69,7 +70,7 @@ def test_the_papers_protocol_is_the_papers():
 
 def test_ours_has_five_light_levels_and_hides_the_motion():
     ours = coded_protocol("ours")
-    assert (ours.borders, len(ours.levels), ours.knows_psf) == ("real", 5, False)
+    assert (ours.borders, len(ours.levels), ours.restored_by) == ("real", 5, "path")
     assert ours.calibration_camera.photons_full_scale == ours.design_photons in ours.levels
     for level in ours.levels:
         camera = ours.camera(level)
@@ -106,7 +107,7 @@ def test_a_protocol_of_ones_own_is_a_file(tmp_path):
         ({"objective": "psnr"}, "objective: must be one of min-mtf"),
         ({"restoration": "magic"}, "restoration: must be one of wiener"),
         ({"name": ""}, "name: must be a text"),
-        ({"knows_psf": "no"}, "knows_psf: must be true or false, got 'no'"),
+        ({"restored_by": "luck"}, "restored_by: must be one of psf, path, estimate, got 'luck'"),
         ({"open_range": [6]}, "open_range: must be two numbers"),
         ({"open_range": 6}, "open_range: must be two numbers"),
         ({"open_range": [10, 6]}, "open_range: must be two numbers"),
@@ -258,6 +259,22 @@ def test_run_backwards_a_code_is_its_mirror_image():
     assert figures["noise_gain_db"] == pytest.approx(mirrored["reversed_noise_gain_db"], abs=1e-6)
     assert abs(figures["noise_gain_db"] - figures["reversed_noise_gain_db"]) > 0.01
     assert figures["noise_gain_db"] == measure(BENT, ShutterCode(LOPSIDED)).noise_gain_db
+
+
+def test_noise_gain_is_that_of_the_light_the_photo_has():
+    """As if coding cost no light, a code's gain is the deconvolution noise factor, relative to DC."""
+    true, equal = (take_photo(**shown(BENT, light_true=flag)) for flag in (True, False))
+    metrics = measure(BENT, ShutterCode(LOPSIDED))
+    assert true["noise_gain_db"] == metrics.noise_gain_db
+    assert equal["noise_gain_db"] == pytest.approx(metrics.dnf_db, abs=1e-9)
+
+
+def test_the_wiener_filter_is_told_the_cameras_noise():
+    dim = Camera(photons_full_scale=300.0, read_noise_e=5.0, black_level=0.1)
+    arguments = shown(BENT, camera=dim.to_dict())
+    taken = photographed(**arguments)
+    told = wiener(taken.photo, taken.psf, camera=dim, border_rounds=10)
+    np.testing.assert_array_equal(taken.restored, np.clip(told, 0, 1))
 
 
 # -- estimates --------------------------------------------------------------------------------------------------------
@@ -437,7 +454,7 @@ def test_a_tiny_table_and_its_cells_found_again(tmp_path, monkeypatch):
 
 
 def test_who_restores_by_what(tmp_path, guesses):
-    hidden = replace(TINY, knows_psf=False, motions=1, shakes="boracchi-foi", photons=(1e5,), steps=200)
+    hidden = replace(TINY, restored_by="estimate", motions=1, shakes="boracchi-foi", photons=(1e5,), steps=200)
     names = ("dnf", "snapshot", "parametric", "parametric-oracle", "oracle")
     measured = measure_coded(hidden, SCENES, cache=tmp_path, designs=names)
     assert measured.failures == {}
@@ -455,21 +472,38 @@ def test_who_restores_by_what(tmp_path, guesses):
     assert all(shot.arguments["light_true"] for shot in measured.shots)
 
 
+def test_a_restoration_may_know_the_path_but_not_its_direction(tmp_path, guesses):
+    hidden = replace(TINY, restored_by="path", motions=1, shakes="boracchi-foi", photons=(1e5,), steps=200)
+    measured = measure_coded(hidden, SCENES, cache=tmp_path, designs=("open", "both-ways", "oracle"))
+    assert measured.failures == {}
+    (truth,) = drawn_motions(hidden)
+    for shot in measured.shots:
+        (path,), _ = paths_from(shot.arguments["assumed"])
+        np.testing.assert_array_equal(path.xy, truth.xy)
+        assert path.direction == "unknown"
+
+
 def test_only_estimates_that_are_needed_are_made(tmp_path, guesses):
-    measured = measure_coded(replace(TINY, motions=1, knows_psf=False), SCENES, cache=tmp_path, designs=["oracle"])
+    measured = measure_coded(
+        replace(TINY, motions=1, restored_by="estimate"), SCENES, cache=tmp_path, designs=["oracle"]
+    )
     assert (guesses.photos, len(measured.shots)) == ([], 1)
 
 
-@pytest.mark.parametrize(("knows_psf", "left"), [(True, ["open", "open", "snapshot"]), (False, ["open", "snapshot"])])
-def test_a_failed_estimate_leaves_its_photos_out(tmp_path, guesses, knows_psf, left):
+@pytest.mark.parametrize(
+    ("restored_by", "left"), [("psf", ["open", "open", "snapshot"]), ("estimate", ["open", "snapshot"])]
+)
+def test_a_failed_estimate_leaves_its_photos_out(tmp_path, guesses, restored_by, left):
     guesses.fails = 1
-    measured = measure_coded(replace(TINY, knows_psf=knows_psf), SCENES, cache=tmp_path, designs=("open", "snapshot"))
+    measured = measure_coded(
+        replace(TINY, restored_by=restored_by), SCENES, cache=tmp_path, designs=("open", "snapshot")
+    )
     assert measured.failures == {"motion/ours/0-blocks/0": "photo: too dark"}
     assert [shot.design for shot in measured.shots] == left
     snapshots = [shot for shot in measured.shots if shot.design == "snapshot"]
     assert [shot.motion for shot in snapshots] == [1]
     guesses.fails = 0
-    mended = measure_coded(replace(TINY, knows_psf=knows_psf), SCENES, cache=tmp_path, designs=("open", "snapshot"))
+    mended = measure_coded(replace(TINY, restored_by=restored_by), SCENES, cache=tmp_path, designs=("open", "snapshot"))
     assert (mended.failures, len(mended.shots), len(guesses.photos)) == ({}, 4, 3)
 
 
@@ -482,7 +516,7 @@ def test_stopped_it_tells_and_goes_on_later(tmp_path, guesses):
     np.testing.assert_allclose(guesses.photos[0], uncoded, atol=0.002)  # no light levels: no noise here either
     assert coded_tables(stopped) == []
     files = write_coded_report(tmp_path / "out", [], stopped, command="again", warnings=["stopped"])
-    assert set(files) == set(OUTPUTS) - {"cep.png"}
+    assert set(files) == set(OUTPUTS) - {"cep.png", "cep.pdf"}
     whole = measure_coded(TINY, SCENES, cache=cache, designs=("open", "snapshot"))
     assert (whole.missing, len(whole.shots), len(guesses.photos)) == (0, 4, 3)
 

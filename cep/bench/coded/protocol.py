@@ -19,14 +19,15 @@ PROTOCOLS = ("paper", "ours")
 _MOST_PHOTONS = 1e9
 _WHOLE = {  # least and most; of a smaller photo the comparison, 32 px within its borders, would leave next to nothing
     "photos": (1, 10_000), "motions": (1, 10_000), "crop_px": (80, 4096), "chips": (3, 4096), "bits": (1, 16),
-    "steps": (1, 10**12), "seed": (0, 2**31), "quick_photos": (1, 10_000), "quick_motions": (1, 10_000),
-    "quick_steps": (1, 10**12),
+    "steps": (1, 10**12), "border_rounds": (0, 1000), "seed": (0, 2**31),
+    "quick_photos": (1, 10_000), "quick_motions": (1, 10_000), "quick_steps": (1, 10**12),
 }  # fmt: skip
 _ALLOWED = {
     "borders": ("real", "symmetric"),
     "shakes": ("boracchi-foi", "mixed"),
     "objective": OBJECTIVES,
     "restoration": tuple(RESTORATIONS),
+    "restored_by": ("psf", "path", "estimate"),
 }
 
 
@@ -59,8 +60,11 @@ class CodedProtocol:
         Of the quantisation.
     read_noise_e : float
     restoration : str
-    knows_psf : bool
-        Whether the restoration is given the true coded PSF, or what the estimate says, tried in both directions.
+    border_rounds : int
+        Rounds in which the restoration guesses what lies outside the photo. A blur of 60 px needs dozens.
+    restored_by : {"psf", "path", "estimate"}
+        What the restoration is given: the true coded PSF; the true path, whose direction it has to find; or only the
+        path that the code was made for, tried in both directions.
     steps : int
         Moves of every search.
     seed : int
@@ -82,7 +86,8 @@ class CodedProtocol:
     bits: int
     read_noise_e: float
     restoration: str
-    knows_psf: bool
+    border_rounds: int
+    restored_by: Literal["psf", "path", "estimate"]
     steps: int
     seed: int
     quick_photos: int
@@ -99,8 +104,6 @@ class CodedProtocol:
                 raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
         if not (isinstance(self.name, str) and self.name):
             raise ValueError(f"name: must be a text that is not empty, got {self.name!r}")
-        if not isinstance(self.knows_psf, bool):
-            raise ValueError(f"knows_psf: must be true or false, got {self.knows_psf!r}")
         pair = self.open_range
         if not (_are(pair, int) and len(pair) == 2 and 1 <= pair[0] <= pair[1] <= self.chips):
             raise ValueError(f"open_range: must be two numbers of chips within 1..{self.chips} in order, got {pair!r}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -187,6 +187,7 @@ def measure_coded(
                 "borders": protocol.borders,
                 "light_true": bool(protocol.photons),
                 "restoration": protocol.restoration,
+                "border_rounds": protocol.border_rounds,
                 "camera": protocol.camera(level).to_dict(),
                 "seed": _seed(protocol, photo, index),
             }
@@ -232,7 +233,7 @@ class _Stages:
 
 def _kinds(protocol: CodedProtocol, designs: Sequence[str]) -> list[str]:
     wanted = {DESIGNS[name].path for name in designs}
-    if not protocol.knows_psf:
+    if protocol.restored_by == "estimate":
         wanted |= {_restored_by(name) for name in designs}
     return [kind for kind in ESTIMATORS if kind in wanted]
 
@@ -272,8 +273,10 @@ def _assumed(
     index: int,
 ) -> str | None:
     """Path that the restoration goes by; None when it knows the PSF, empty when the estimate failed."""
-    if protocol.knows_psf:
+    if protocol.restored_by == "psf":
         return None
+    if protocol.restored_by == "path":
+        return paths_to([replace(truth, direction="unknown")], [1.0])
     path = _restored_by(design)
     if path == "true":
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from cep.exposure import coded_psf
 from cep.mtf import measure
 from cep.restore import restore
 from cep.restore.direction import compare_psfs
-from motdiff.metrics import mnc_subpixel, psnr_up_to_shift, ssim_up_to_shift
+from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift
 from motdiff.simulate import blur_symmetric, blur_valid
 from motdiff.trajectory import Trajectory
 
@@ -99,7 +100,7 @@ def choose_code(
 
 def take_photo(
     scene: ArrayLike, motion: str, assumed: str | None, *, bits: str, borders: str, light_true: bool, restoration: str,
-    camera: Mapping[str, Any], seed: int,
+    border_rounds: int, camera: Mapping[str, Any], seed: int,
 ) -> dict[str, float]:  # fmt: skip
     """Take the coded photo along the true motion, restore it, and compare it with the scene.
 
@@ -115,25 +116,30 @@ def take_photo(
     light_true : bool
         Whether the photo has the code's light, or as much as with an open shutter.
     restoration : str
+        The Wiener filter is told the camera's noise.
+    border_rounds : int
+        Rounds of reblurring outside the photo's borders.
     camera : mapping
     seed : int
 
     Returns
     -------
     dict with ``psnr_db`` and ``ssim`` (linear light, up to shift), ``noise_gain_db`` and ``reversed_noise_gain_db``
-    (along the true motion and against it), and ``min_mtf``
+    (along the true motion and against it, at the light that the photo has), and ``min_mtf`` (light-true)
     """
     taken = photographed(
         scene, motion, assumed, bits=bits, borders=borders, light_true=light_true, restoration=restoration,
-        camera=camera, seed=seed,
+        border_rounds=border_rounds, camera=camera, seed=seed,
     )  # fmt: skip
     truth, code = paths_from(motion)[0][0], ShutterCode(bits)
     along, against = (measure(path, code, budget=0) for path in (truth, truth.reversed()))
+    lent_db = 0.0 if light_true else 20 * math.log10(code.duty)
+    psnr_db, ssim = psnr_ssim_up_to_shift(taken.restored, taken.target, crop_px=_CROP_PX)
     return {
-        "psnr_db": psnr_up_to_shift(taken.restored, taken.target, crop_px=_CROP_PX),
-        "ssim": ssim_up_to_shift(taken.restored, taken.target, crop_px=_CROP_PX),
-        "noise_gain_db": along.noise_gain_db,
-        "reversed_noise_gain_db": against.noise_gain_db,
+        "psnr_db": psnr_db,
+        "ssim": ssim,
+        "noise_gain_db": along.noise_gain_db + lent_db,
+        "reversed_noise_gain_db": against.noise_gain_db + lent_db,
         "min_mtf": along.min_mtf,
     }
 
@@ -150,7 +156,7 @@ class Taken:
 
 def photographed(
     scene: ArrayLike, motion: str, assumed: str | None, *, bits: str, borders: str, light_true: bool, restoration: str,
-    camera: Mapping[str, Any], seed: int,
+    border_rounds: int, camera: Mapping[str, Any], seed: int,
 ) -> Taken:  # fmt: skip
     """Take and restore the photo of :func:`take_photo`, whose parameters these are."""
     truth, code = paths_from(motion)[0][0], ShutterCode(bits)
@@ -158,9 +164,11 @@ def photographed(
     scale = 1.0 if light_true else 1 / code.duty
     shown = np.asarray(scene, dtype=np.float64)
     rng = np.random.default_rng([seed, 3])
-    photo = _exposed(shown, scale * psf, borders=borders, camera=Camera.from_dict(camera), rng=rng)
+    sensor = Camera.from_dict(camera)
+    photo = _exposed(shown, scale * psf, borders=borders, camera=sensor, rng=rng)
     used = scale * (psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code))
-    restored = np.clip(restore(photo, used, method=restoration).image, 0, 1)
+    told: dict[str, Any] = {"camera": sensor} if restoration == "wiener" else {}
+    restored = np.clip(restore(photo, used, method=restoration, border_rounds=border_rounds, **told).image, 0, 1)
     return Taken(photo, psf, restored, shown if borders == "symmetric" else visible(shown, PSF_PX))
 
 
