@@ -31,8 +31,8 @@ from motdiff.trajectory import Trajectory
 
 TINY = CodedProtocol(
     name="tiny", photos=1, motions=2, crop_px=96, borders="symmetric", shakes="mixed", chips=16, open_range=(6, 10),
-    objective="noise", photons=(), design_photons=1e4, bits=12, read_noise_e=0.0, restoration="inverse", border_rounds=10,
-    restored_by="psf", steps=2000, seed=0, quick_photos=1, quick_motions=1, quick_steps=1000,
+    objective="noise", photons=(), design_photons=1e4, bits=12, read_noise_e=0.0, restoration="inverse",
+    border_rounds=10, restored_by="psf", steps=2000, seed=0, quick_photos=1, quick_motions=1, quick_steps=1000,
 )  # fmt: skip
 CLEAN = Camera(photons_full_scale=1e9, read_noise_e=0.0, bits=16).to_dict()
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11], [7, 16]])
