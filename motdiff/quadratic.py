@@ -1,4 +1,4 @@
-"""Paths that are a quadratic function of time, and the best of them for a true motion: the limit of their class."""
+"""Paths that are a quadratic function of time: the best one for a true motion, the limit of its class, or for a PSF."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
 from motdiff.metrics import mnc_subpixel
 from motdiff.trajectory import Trajectory
 
-__all__ = ["QuadraticPath", "most_alike_quadratic", "nearest_quadratic"]
+__all__ = ["QuadraticPath", "most_alike_quadratic", "nearest_quadratic", "quadratic_of_psf"]
 
 FloatArray = NDArray[np.float64]
 
@@ -22,6 +22,7 @@ _POINTS, _TRUE_POINTS = 49, 240
 _ANGLES = 4
 _BENDS = (0.0, 0.8, -0.8)  # of the bend across the motion, over the path's extent
 _NO_BETTER = 1e-6
+_CLIMBED_ON = 3  # of the starts
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,7 @@ def most_alike_quadratic(truth: Trajectory, *, size: int = 64) -> QuadraticPath:
     """
     nearest = nearest_quadratic(truth)
     target = truth.at((np.arange(_TRUE_POINTS) + 0.5) / _TRUE_POINTS)
+    weight = np.full(_TRUE_POINTS, 1 / _TRUE_POINTS)
     psf = truth.psf(size)
 
     def alike(path: QuadraticPath) -> float:
@@ -99,12 +101,55 @@ def most_alike_quadratic(truth: Trajectory, *, size: int = 64) -> QuadraticPath:
     for start, blurs_px in itertools.product(_starts(nearest, target), (_BLURS_PX, _BLURS_PX[1:])):
         found = start
         for blur_px in blurs_px:
-            found = _climbed(found, target, _HAT_VARIANCE_PX2 + blur_px**2)
+            found = _climbed(found, target, weight, variance_px2=_HAT_VARIANCE_PX2 + blur_px**2)[0]
         path = QuadraticPath(found[:2], found[2:4])
         path_score = alike(path)
         if path_score > score + _NO_BETTER:
             best, score = path, path_score
     return best if best.a @ nearest.a >= 0 else best.reversed()
+
+
+def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
+    """Quadratic path whose PSF is most alike to ``psf``, one of the two that are each other's reverse.
+
+    Climbed from seven starts that have the PSF's second moments: straight, bent, sped up and bent back motions.
+
+    Parameters
+    ----------
+    psf : (H, W) array_like
+        Non-negative, with some light.
+
+    Raises
+    ------
+    ValueError
+        If ``psf`` is no such array.
+    """
+    light = np.asarray(psf, dtype=np.float64)
+    if light.ndim != 2 or not np.isfinite(light).all() or light.min(initial=0) < 0 or not light.any():
+        raise ValueError(f"psf: must be a non-negative (H, W) array with some light, got shape {light.shape}")
+    rows, columns = np.nonzero(light)
+    weight = light[rows, columns] / light.sum()
+    target = np.stack([columns, rows], axis=-1).astype(np.float64)
+    target -= weight @ target
+    across, along = np.linalg.eigh((weight * target.T) @ target)[1].T  # the smaller moment first
+    length, width = (np.sqrt(weight @ (target @ axis) ** 2) for axis in (along, across))
+    # the two shapes' mean squares are 1/12 and 1/180
+    straight, bent, back = np.sqrt(12) * length * along, np.sqrt(180) * width * across, np.sqrt(180) * length * along
+    starts = [(straight, np.zeros(2))]
+    starts += [(straight, sign * bent) for sign in (1, -1)]
+    starts += [(0.7 * straight, sign * 0.7 * back) for sign in (1, -1)]
+    starts += [(np.sqrt(12) * width * across, sign * back) for sign in (1, -1)]
+    coarse = max(1.0, 0.15 * float(length))
+    found = [
+        _climbed(np.concatenate([a, b, [0, 0]]), target, weight, variance_px2=_HAT_VARIANCE_PX2 + coarse**2)
+        for a, b in starts
+    ]
+    finest = [
+        _climbed(values, target, weight, variance_px2=2 * _HAT_VARIANCE_PX2)
+        for values, _ in sorted(found, key=lambda one: one[1])[:_CLIMBED_ON]
+    ]
+    best = min(finest, key=lambda one: one[1])[0]
+    return QuadraticPath(best[:2], best[2:4])
 
 
 def _points(coefficients: FloatArray, t: FloatArray) -> FloatArray:
@@ -124,24 +169,30 @@ def _starts(nearest: QuadraticPath, target: FloatArray) -> list[FloatArray]:
     return starts
 
 
-def _climbed(start: FloatArray, target: FloatArray, variance_px2: float) -> FloatArray:
-    """Coefficients and shift (6,) of a local optimum of the correlation with the target's points (M, 2)."""
+def _climbed(
+    start: FloatArray, target: FloatArray, weight: FloatArray, *, variance_px2: float
+) -> tuple[FloatArray, float]:
+    """Coefficients and shift (6,) of a local optimum of the correlation with the target's points (M, 2), and its loss.
+
+    The points' weights (M,) sum to 1.
+    """
     t = (np.arange(_POINTS) + 0.5) / _POINTS
     shapes = np.stack([t - 0.5, (t - 0.5) ** 2 - 1 / 12, np.ones(_POINTS)])  # of a, b and the shift
-    width = 4 * variance_px2
+    width, even = 4 * variance_px2, np.full(_POINTS, 1 / _POINTS)
 
     def loss(values: FloatArray) -> tuple[float, FloatArray]:
         points = shapes.T @ values.reshape(3, 2)
-        with_itself, pull_itself = _overlap(points, points, width)
-        with_target, pull = _overlap(points, target, width)
+        with_itself, pull_itself = _overlap(points, points, even, width)
+        with_target, pull = _overlap(points, target, weight, width)
         gradient = pull_itself / with_itself - pull / with_target  # of -log of the cosine
         return float(0.5 * np.log(with_itself) - np.log(with_target)), (shapes @ gradient).ravel()
 
-    return np.asarray(optimize.minimize(loss, start, jac=True, method="TNC").x, dtype=np.float64)
+    found = optimize.minimize(loss, start, jac=True, method="TNC")
+    return np.asarray(found.x, dtype=np.float64), float(found.fun)
 
 
-def _overlap(points: FloatArray, others: FloatArray, width: float) -> tuple[float, FloatArray]:
-    """Mean over pairs of exp(-distance^2 / width), with its gradient (N, 2) in the first points."""
+def _overlap(points: FloatArray, others: FloatArray, weight: FloatArray, width: float) -> tuple[float, FloatArray]:
+    """Weighted mean over pairs of exp(-distance^2 / width), with its gradient (N, 2) in the first points."""
     apart = points[:, None] - others[None]
-    near = np.exp(-np.square(apart).sum(axis=-1) / width) / (len(points) * len(others))
+    near = np.exp(-np.square(apart).sum(axis=-1) / width) * (weight / len(points))
     return float(near.sum()) + 1e-300, -2 / width * np.einsum("ij,ijk->ik", near, apart)

@@ -13,7 +13,7 @@ from scipy import ndimage
 from motdiff.crops import blur_differs_warning, luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import mnc_subpixel
-from motdiff.tracing import trace_psf_to_trajectory
+from motdiff.tracing import simplest_trajectory
 from motdiff.trajectory import Trajectory
 
 __all__ = ["Found", "KernelSearch", "estimate_blind", "without_faint_parts"]
@@ -163,7 +163,7 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
     for i in np.argsort(-found.probabilities):
         if len(chosen) < _MOST_MOTIONS and all(mnc_subpixel(kernels[i], kernels[j]) < _SAME_MNC for j in chosen):
             chosen.append(int(i))
-    trajectories = [trace_psf_to_trajectory(without_faint_parts(kernels[i])) for i in chosen]
+    trajectories = [simplest_trajectory(without_faint_parts(kernels[i])) for i in chosen]
     if level.factor > 1:
         trajectories = [trajectory.scaled(level.factor) for trajectory in trajectories]
     weights = found.probabilities[chosen] / found.probabilities[chosen].sum()

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.blind import without_faint_parts
-from motdiff.tracing import trace_psf_to_trajectory
+from motdiff.tracing import simplest_trajectory
 
 __all__ = ["unjudged_estimate"]
 
@@ -33,7 +33,7 @@ def unjudged_estimate(method: str, kernel: ArrayLike, details: Mapping[str, obje
     light = np.asarray(kernel, dtype=np.float64)
     light = np.where(light < _DUST * light.max(), 0.0, light)
     psf = _centred(light / light.sum())
-    trajectory = trace_psf_to_trajectory(without_faint_parts(psf))
+    trajectory = simplest_trajectory(without_faint_parts(psf))
     return MotionEstimate(method, (trajectory,), (1.0,), psf, confidence=0.0, details=dict(details))
 
 

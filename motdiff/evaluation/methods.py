@@ -56,7 +56,7 @@ class NetworkAlone:
         from motdiff.crops import luminance
         from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
         from motdiff.estimators.pmp.score import noise_sigma
-        from motdiff.tracing import trace_psf_to_trajectory
+        from motdiff.tracing import simplest_trajectory
 
         grey = luminance(photo)
         told = np.zeros((0, 64, 64))
@@ -72,7 +72,7 @@ class NetworkAlone:
             generator=generator,
             method=self._sampler,
         )
-        return MotionEstimate("network", (trace_psf_to_trajectory(psf),), (1.0,), psf, confidence=0.0)
+        return MotionEstimate("network", (simplest_trajectory(psf),), (1.0,), psf, confidence=0.0)
 
 
 def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> dict[str, Estimator]:

@@ -2,10 +2,18 @@
 
 A map or a PSF shows where the camera went, not in which order. :func:`trace_map` and :func:`trace_psf` find the
 smoothest walk that covers what is drawn; :func:`fit_dwell` and :func:`fit_dwell_to_photo` find the time spent along
-it. Direction stays unknown: a path and its reverse draw the same.
+it; :func:`simplest_trajectory` prefers a plain arc. Direction stays unknown: a path and its reverse draw the same.
 """
 
 from motdiff.tracing.dwell import fit_dwell, fit_dwell_to_photo
 from motdiff.tracing.path import trace_map, trace_psf, trace_psf_to_trajectory
+from motdiff.tracing.simple import simplest_trajectory
 
-__all__ = ["fit_dwell", "fit_dwell_to_photo", "trace_map", "trace_psf", "trace_psf_to_trajectory"]
+__all__ = [
+    "fit_dwell",
+    "fit_dwell_to_photo",
+    "simplest_trajectory",
+    "trace_map",
+    "trace_psf",
+    "trace_psf_to_trajectory",
+]
