@@ -79,9 +79,13 @@ class Objective:
         for index, scenario in enumerate(problem.scenarios):
             samples = band_samples(scenario.trajectory, oversampling=oversampling)
             for turned in problem.directions(scenario):
-                rows = scenario_rows(
-                    scenario, problem.chips, samples.fx, samples.fy, response=problem.response, reversed_path=turned
-                )
+                rows: NDArray[Any]
+                if turned and scenario.edges is None and not ramps:
+                    rows = rows[::-1]  # the forward ones, which come first: the chips are met in the opposite order
+                else:
+                    rows = scenario_rows(
+                        scenario, problem.chips, samples.fx, samples.fy, response=problem.response, reversed_path=turned
+                    )
                 # without a response neighbours do not matter
                 blocks.append(rows.reshape(problem.chips, 4, -1) if ramps else rows[:, 0, :1])
                 start = parts[-1].columns.stop if parts else 0
