@@ -76,10 +76,10 @@ class Objective:
             blocks.append(np.exp(-2j * np.pi * np.outer(chips, samples.fx))[:, None] / problem.chips)
             parts.append(Part(slice(0, samples.fx.size), samples, 0, False))
         ramps = problem.response is not None
+        rows: NDArray[Any] = np.empty(0)
         for index, scenario in enumerate(problem.scenarios):
             samples = band_samples(scenario.trajectory, oversampling=oversampling)
             for turned in problem.directions(scenario):
-                rows: NDArray[Any]
                 if turned and scenario.edges is None and not ramps:
                     rows = rows[::-1]  # the forward ones, which come first: the chips are met in the opposite order
                 else:
