@@ -5,15 +5,20 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 OUT ?= demo
 PHOTO ?=
+BENCH ?= out/bench
+DATA ?=
+QUICK ?= --quick
 
-.PHONY: help demo test lint bench firmware clean
+.PHONY: help demo test lint bench benchmarks firmware clean
 
 help:
 	@echo "make demo             the whole chain on a bundled photo, to $(OUT)/report.html"
 	@echo "make demo PHOTO=path  the same on a blurred photo of your own"
 	@echo "make test             the tests"
 	@echo "make lint             ruff and strict mypy"
-	@echo "make bench            the benchmarks under benchmarks/"
+	@echo "make bench            the paper's tables at their quick size, to $(BENCH)/README.md"
+	@echo "make bench QUICK= DATA=folder   the same at full size (days), of your photos; stopped, it goes on"
+	@echo "make benchmarks       the measurements under benchmarks/"
 	@echo "make firmware         the shutter controller's firmware; MAX_ON_US=500 MAX_DUTY_PERMILLE=400 builds limits in"
 
 demo: $(READY)
@@ -28,6 +33,9 @@ lint: $(READY)
 	$(BIN)/mypy
 
 bench: $(READY)
+	$(BIN)/cep bench $(QUICK) --force -o "$(BENCH)" $(if $(DATA),--data "$(DATA)")
+
+benchmarks: $(READY)
 	@for script in benchmarks/[a-z]*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
 
 firmware:

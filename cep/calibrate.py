@@ -16,7 +16,15 @@ from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.files import StoredMotion, write_motion
 from motdiff.gyro import GyroTrace
 
-__all__ = ["CALIBRATION_FILES", "METHODS", "calibrate", "check_texture", "make_estimator", "write_calibration"]
+__all__ = [
+    "CALIBRATION_FILES",
+    "METHODS",
+    "calibrate",
+    "check_options",
+    "check_texture",
+    "make_estimator",
+    "write_calibration",
+]
 
 METHODS = ("motdiff", "pmp", "reference", "point", "gyro")
 """Names of the estimators: blind by diffusion model and classically, with a sharp photo, of a light, by gyroscope."""
@@ -25,6 +33,32 @@ CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.pn
 """What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field."""
 
 _LEAST_CONTRAST = 2 / 255
+_NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}}
+_ALLOWED = {"motdiff": {"samples", "quick"}}
+
+
+def check_options(method: str, options: Mapping[str, object]) -> None:
+    """Check a method's name and options before anything is loaded.
+
+    Parameters
+    ----------
+    method : str
+    options : mapping
+        Those of :func:`make_estimator` that differ from method to method; None is not given.
+
+    Raises
+    ------
+    ValueError
+        If the method is not known, or something it needs is missing or something it has no use for is given.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {method!r}")
+    given = {name for name, value in options.items() if value is not None}
+    wanted = _NEEDED.get(method, set())
+    for name in sorted(wanted - given):
+        raise ValueError(f'{name}: the method "{method}" needs it')
+    for name in sorted(given - wanted - _ALLOWED.get(method, set())):
+        raise ValueError(f'{name}: the method "{method}" has no use for it')
 
 
 def make_estimator(
@@ -63,24 +97,18 @@ def make_estimator(
     ValueError
         If the method is not known, or something it needs is missing or something it has no use for is given.
     """
-    needed = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}}
-    allowed = {"motdiff": {"samples", "quick"}}
-    options: dict[str, object] = {
-        "sharp": sharp,
-        "gyro": gyro,
-        "focal_px": focal_px,
-        "start_s": start_s,
-        "exposure_s": exposure_s,
-    }
-    options |= {"samples": samples, "quick": quick}
-    if method not in METHODS:
-        raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {method!r}")
-    given = {name for name, value in options.items() if value is not None}
-    wanted = needed.get(method, set())
-    for name in sorted(wanted - given):
-        raise ValueError(f'{name}: the method "{method}" needs it')
-    for name in sorted(given - wanted - allowed.get(method, set())):
-        raise ValueError(f'{name}: the method "{method}" has no use for it')
+    check_options(
+        method,
+        {
+            "samples": samples,
+            "quick": quick,
+            "sharp": sharp,
+            "gyro": gyro,
+            "focal_px": focal_px,
+            "start_s": start_s,
+            "exposure_s": exposure_s,
+        },
+    )
     if method == "reference" and sharp is not None:
         from motdiff.estimators.reference import ReferenceEstimator
 

@@ -19,6 +19,9 @@ def side_by_side(
 ) -> list[_Result]:
     """Run every job without gradients, as many at a time as there are cores, and give their results in order.
 
+    Fewer where the environment says so: a process that shares the machine with others of its kind, as a benchmark's
+    workers do, is started with ``OMP_NUM_THREADS``.
+
     Parameters
     ----------
     jobs : sequence of callables
@@ -28,7 +31,7 @@ def side_by_side(
     threads = torch.get_num_threads()
     results: list[_Result] = []
     try:
-        workers = max(1, min(len(jobs), os.cpu_count() or 1))
+        workers = max(1, min(len(jobs), _cores()))
         with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
             runs = [pool.submit(torch.no_grad()(job)) for job in jobs]
             try:
@@ -41,3 +44,9 @@ def side_by_side(
     finally:
         torch.set_num_threads(threads)
     return results
+
+
+def _cores() -> int:
+    told = os.environ.get("OMP_NUM_THREADS", "").strip()
+    cores = os.cpu_count() or 1
+    return min(cores, int(told)) if told.isdigit() else cores

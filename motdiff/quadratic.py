@@ -23,6 +23,7 @@ _ANGLES = 4
 _BENDS = (0.0, 0.8, -0.8)  # of the bend across the motion, over the path's extent
 _NO_BETTER = 1e-6
 _CLIMBED_ON = 3  # of the starts
+_MOST_POINTS = 500  # a path has fewer; of noise all over the frame the brightest do
 
 
 @dataclass(frozen=True)
@@ -127,8 +128,9 @@ def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
     light = np.asarray(psf, dtype=np.float64)
     if light.ndim != 2 or not np.isfinite(light).all() or light.min(initial=0) < 0 or not light.any():
         raise ValueError(f"psf: must be a non-negative (H, W) array with some light, got shape {light.shape}")
-    rows, columns = np.nonzero(light)
-    weight = light[rows, columns] / light.sum()
+    kept = np.argsort(-light, axis=None)[: min(_MOST_POINTS, np.count_nonzero(light))]
+    rows, columns = np.unravel_index(kept, light.shape)
+    weight = light[rows, columns] / light[rows, columns].sum()
     target = np.stack([columns, rows], axis=-1).astype(np.float64)
     target -= weight @ target
     across, along = np.linalg.eigh((weight * target.T) @ target)[1].T  # the smaller moment first

@@ -13,19 +13,44 @@ from cep.bench.cache import ENGINE
 from cep.bench.tables import Table
 from cep.files import json_text
 
-__all__ = ["TABLES_SCHEMA", "tables_csv", "tables_json", "tables_markdown"]
+__all__ = [
+    "TABLES_SCHEMA",
+    "machines_markdown",
+    "made_json",
+    "markdown_table",
+    "tables_csv",
+    "tables_json",
+    "tables_markdown",
+]
 
 TABLES_SCHEMA = "cep.bench/1"
 
 
 def tables_markdown(tables: Sequence[Table]) -> str:
     """Lay out tables as Markdown, bold where a paired test says so."""
-    blocks = []
-    for table in tables:
-        lines = [table.head, ("---", *("---:",) * (len(table.head) - 1)), *table.lines(("**", "**"))]
-        body = "\n".join("| " + " | ".join(text.replace("|", "\\|") for text in line) + " |" for line in lines)
-        blocks.append(f"**{table.title}**\n\n{body}\n")
+    blocks = [f"**{table.title}**\n\n{markdown_table(table.head, table.lines(('**', '**')))}\n" for table in tables]
     return "\n".join(blocks)
+
+
+def markdown_table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Lay out lines of texts as a Markdown table: the first column to the left, the others, figures, to the right."""
+    rule = ("---", *("---:",) * (len(head) - 1))
+    return "\n".join(
+        "| " + " | ".join(text.replace("|", "\\|") for text in line) + " |" for line in (head, rule, *lines)
+    )
+
+
+def machines_markdown(machines: Sequence[Mapping[str, Any]]) -> str:
+    """Tell in a list of Markdown where figures were made: hardware, system and the versions of all packages."""
+    lines = []
+    for machine in machines:
+        versions = ", ".join(f"{name} {found}" for name, found in machine["versions"].items() if found)
+        memory = f", {machine['memory_gib']:g} GiB" if machine["memory_gib"] else ""
+        lines.append(
+            f"- {machine['processor']}, {machine['cores']} cores{memory}, {machine['system']}, Python "
+            f"{machine['python']}: {versions}"
+        )
+    return "\n".join(lines)
 
 
 def tables_csv(tables: Sequence[Table]) -> str:
@@ -78,5 +103,17 @@ def tables_json(
         }
         for table in tables
     ]
+    return made_json({"tables": listed}, command=command, seed=seed, machines=machines, warnings=warnings)
+
+
+def made_json(
+    content: Mapping[str, Any],
+    *,
+    command: str,
+    seed: int,
+    machines: Sequence[Mapping[str, Any]],
+    warnings: Sequence[str],
+) -> str:
+    """Lay out a table's content as JSON; the other parameters as those of :func:`tables_json`."""
     made = {"command": command, "seed": seed, "engine": ENGINE, "machines": machines, "warnings": warnings}
-    return json_text({"schema": TABLES_SCHEMA, **made, "tables": listed})
+    return json_text({"schema": TABLES_SCHEMA, **made, **content})

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.bench.pairs import rsblur_pairs
 from cep.images import read_image
 from motdiff.crops import luminance
 
@@ -58,10 +59,10 @@ def layout_of(folder: Path | str) -> Layout:
         If there is no such folder.
     """
     root = _folder(folder)
+    if any(root.glob("Blurry*_*.png")):  # before Levin's: its sharp frames come as .mat files too
+        return "koehler"
     if any(root.glob("*.mat")):
         return "levin"
-    if any(root.glob("Blurry*_*.png")):
-        return "koehler"
     if next(root.rglob("gt_sharp.png"), None) or next(root.rglob("real_blur.png"), None):
         return "rsblur"
     halves = {path.name for path in root.rglob("*") if path.name in ("sharp", *_BLURRED) and path.is_dir()}
@@ -79,18 +80,19 @@ def photo_folder(folder: Path | str) -> tuple[Path, ...]:
     ------
     ValueError
         If there is no such folder, it holds no photos or blurred ones only, or blurred and sharp ones are mixed up: a
-        sequence lacks one half, names differ, or what is called sharp is less sharp.
+        sequence lacks one half, names or sizes differ, or what is called sharp is less sharp.
     """
     root = _folder(folder)
     layout = layout_of(root)
     if layout == "levin":
         raise ValueError(f"{root}: holds Levin's .mat files, blurred already; a folder of sharp photos is needed")
     if layout == "koehler":
-        raise ValueError(f"{root}: holds Koehler's blurred photos alone; a folder of sharp photos is needed")
+        raise ValueError(f"{root}: holds Koehler's photos, blurred already; a folder of sharp photos is needed")
     if layout == "gopro":
         return _sharp_of_gopro(root)
     if layout == "rsblur":
-        found = sorted(root.rglob("gt/gt_sharp.png"))
+        paired = next(root.rglob("real_blur.png"), None) is not None
+        found = [sharp for _, sharp in rsblur_pairs(root)] if paired else sorted(root.rglob("gt/gt_sharp.png"))
         what = "gt/gt_sharp.png, the sharp halves of RSBlur's layout"
     elif root.name in _BLURRED:
         raise ValueError(f"{root}: is the blurred half of GoPro's layout; give the folder above it")
@@ -177,26 +179,31 @@ def _sharp_of_gopro(root: Path) -> tuple[Path, ...]:
         sharp += found.values()
     if not sharp:
         raise ValueError(f"{root}: its folders sharp hold no photos (.png, .jpg or .tif)")
-    _check_not_swapped(root, pairs)
+    _check_some(root, pairs)
     return tuple(sharp)
 
 
-def _check_not_swapped(root: Path, pairs: Sequence[tuple[Path, Path]]) -> None:
-    """Refuse where most of a few pairs, evenly chosen, are sharper on the blurred side: a still camera may tie."""
+def _check_some(root: Path, pairs: Sequence[tuple[Path, Path]]) -> None:
+    """Refuse where of a few pairs, evenly chosen, one differs in size, or most are sharper on the blurred side."""
     count = min(_COMPARED, len(pairs))
-    some = [pairs[i * len(pairs) // count] for i in range(count)]
-    swapped = [pair for pair in some if _detail(pair[0]) > _detail(pair[1])]
-    if 2 * len(swapped) > count:
-        blurred, sharp = swapped[0]
-        raise ValueError(
-            f"{root}: blurred and sharp photos seem to be swapped: {blurred.parent.name}/{blurred.name} is "
-            f"sharper than {sharp.parent.name}/{sharp.name}"
-        )
+    swapped = 0
+    for blurred, sharp in (pairs[i * len(pairs) // count] for i in range(count)):
+        images = [read_image(path, gamma="linear") for path in (blurred, sharp)]
+        names = [f"{path.parent.name}/{path.name}" for path in (blurred, sharp)]
+        if images[0].shape[:2] != images[1].shape[:2]:
+            sizes = [f"{image.shape[1]} x {image.shape[0]} px" for image in images]
+            place = sharp.parent.parent
+            raise ValueError(f"{place}: {names[0]} has {sizes[0]}, {names[1]} {sizes[1]}; they must be pairs")
+        swapped += _detail(images[0]) > _detail(images[1])
+        if 2 * swapped > count:
+            raise ValueError(
+                f"{root}: blurred and sharp photos seem to be swapped: {names[0]} is sharper than {names[1]}"
+            )
 
 
-def _detail(path: Path) -> float:
+def _detail(image: FloatArray) -> float:
     """Mean size of the differences between neighbours."""
-    grey = luminance(read_image(path, gamma="linear"))
+    grey = luminance(image)
     return float(np.abs(np.diff(grey, axis=0)).mean() + np.abs(np.diff(grey, axis=1)).mean())
 
 

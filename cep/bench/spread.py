@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
+from importlib import import_module
 from itertools import islice
 from typing import Any
 
@@ -36,7 +37,9 @@ def in_processes(tasks: Tasks, workers: int) -> Generator[tuple[str, Finished]]:
     """
 
     def run(some: Tasks) -> Generator[tuple[str, Finished]]:
-        with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
+        with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1), warnings.catch_warnings():
+            # loky starts processes anew whose memory has grown, as PyTorch's does, and says so to whoever watches
+            warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
             yield from _spread(some, _undisturbed, pre_dispatch=2 * workers)
 
     waiting = dict(tasks)
@@ -64,7 +67,7 @@ def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
     Raises
     ------
     ValueError
-        If Dask is not installed, no scheduler answers, or it has no workers.
+        If Dask is not installed, no scheduler answers, it has no workers, or they lack this program.
     RuntimeError
         If the cluster goes away.
     """
@@ -85,6 +88,13 @@ def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
                 client.wait_for_workers(1, timeout=_WORKERS_S)
             except TimeoutError:
                 raise ValueError(f"dask: the scheduler at {address} has no workers: dask worker {address}") from None
+            try:  # joblib would wait for ever for cells that no worker can read
+                for module in sorted({__name__, *(work.__module__ for work, _ in tasks.values())}):
+                    client.run(import_module, module)
+            except ImportError as error:
+                raise ValueError(
+                    f"dask: the workers at {address} lack this program ({error}), install it there"
+                ) from None
             try:
                 with parallel_config(_ClusterBackend(client=client)):
                     yield from _spread(tasks, _one, pre_dispatch="all")

@@ -1,4 +1,4 @@
-"""``cep bench``: comparisons with what others published, run again here; ``codes`` is here, the others beside."""
+"""``cep bench``: comparisons with what others published, run again here, one by one or all of them."""
 
 from __future__ import annotations
 
@@ -7,95 +7,127 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.cli import bench_blind, bench_cep
-from cep.cli.console import finish, progress, table
-from cep.cli.options import Force, Json, Seed
+from cep.cli import bench_blind, bench_cep, bench_codes
+from cep.cli.bench_options import Cache, Dask, Data, Engine, Gyro, Job, Quick, Workers, spelled
+from cep.cli.console import FAILURE, complain, finish, progress
+from cep.cli.options import Force, Json
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rich.console import Console
+
+    from cep.bench.index import Part
 
 __all__ = ["bench"]
 
-bench = typer.Typer(help="Compare with what others published.", no_args_is_help=True)
-_FAMILY = "jeon"
-
-
+bench = typer.Typer(invoke_without_command=True, no_args_is_help=True, subcommand_metavar="[TABLE [ARGS]...]")
 bench.command("blind")(bench_blind.blind)
 bench.command("cep")(bench_cep.cep)
 bench.command("speed")(bench_blind.speed)
+bench.command("codes")(bench_codes.codes)
+
+_PROTOCOLS = ("paper", "ours")
+_QUICK_CODES, _QUICK_SEARCH_S = ("jeon-50", "jeon-60", "jeon-100"), 1.0
 
 
-@bench.command("codes")
-def codes(
-    names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME]...", help="Published codes; Jeon's table when none is named.")
-    ] = None,
-    time_s: Annotated[float, typer.Option("--time", help="Time of each search, s.")] = 30.0,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="File for the table, Markdown.")] = None,
+@bench.callback()
+def everything(
+    context: typer.Context,
+    data: Data = None,
+    gyro: Gyro = None,
+    quick: Quick = False,
+    workers: Workers = None,
+    dask: Dask = None,
+    cache: Cache = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write into.")] = Path("bench"),
     force: Force = False,
-    seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Search against published codes, each at its own number of chips and open chips; one code for both figures.
+    """Compare with what others published: one table by its name, or with options alone all of them in one folder.
 
-    Example: cep bench codes raskar-52 jeon-100 --time 60 -o codes.md
+    Finished cells are kept: stopped by Ctrl-C, the same command goes on. Exit code 1 when a cell failed.
+
+    Example: cep bench --quick -o bench
     """
-    from cep.baselines import published as registry
-    from cep.bench.codes import code_rows
-    from cep.outputs import claim, write_text
+    from cep.bench.index import INDEX, write_index
+    from cep.outputs import claim_folder
 
-    if not 0 < time_s < 1e6:
-        raise ValueError(f"--time: must be above 0 seconds, got {time_s:g}")
-    chosen = names or [name for name in registry.names() if name.startswith(_FAMILY)]
-    known = [(name, registry.published(name).code) for name in chosen]
-    if output is not None:
-        claim([output], force=force)
-    with progress("searching") as tick:
-        rows = code_rows(known, time_s=time_s, seed=seed, progress=tick)
-    head = ("code", "open", "its min |P|", "its noise, dB", "our min |P|", "our noise, dB", "better on both")
-    lines = [
-        (
-            row.name,
-            row.published.open_chips,
-            f"{row.minima[0]:.4f}",
-            f"{row.noise_db[0]:.2f}",
-            f"{row.minima[1]:.4f}",
-            f"{row.noise_db[1]:.2f}",
-            "yes" if row.better else "no",
-        )
-        for row in rows
-    ]
-    if output is not None:
-        text = [head, ("---",) * len(head), *lines]
-        write_text(output, "".join("| " + " | ".join(map(_escaped, line)) + " |\n" for line in text))
-    unfinished = len(known) - len(rows)
+    if context.invoked_subcommand is not None:
+        _refuse_options(context)
+        return
+    engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
+    claim_folder(output, [INDEX], force=force)
+    jobs = _jobs(output, engine, data=data, gyro=gyro, quick=quick, force=force)
+    for job in jobs.values():
+        claim_folder(job.folder, job.files, force=force)
+    parts: dict[str, Part] = {}
+    shows: list[Callable[[Console], None]] = []
+    for name, job in jobs.items():
+        with progress(name) as tick:
+            parts[name], show = job.run(tick)
+        shows.append(show)
+        if parts[name].missing:
+            break  # by Ctrl-C
+    command = spelled("", {"--data": data and data.resolve().name, "--gyro": gyro and gyro.name}, quick=quick)
+    unmade = [name for name in jobs if name not in parts]
+    index = write_index(output, list(parts.values()), command=command, unmade=unmade)
+    failed = sum(len(part.failures) for part in parts.values())
+    warnings = [f"{name}: {warning}" for name, part in parts.items() for warning in part.warnings]
     result = {
-        "file": output,
-        "tables": {
-            "codes": [
-                {
-                    "name": row.name,
-                    "chips": row.published.chips,
-                    "open": row.published.open_chips,
-                    "bits": row.ours.bits,
-                    "min_chip": {"published": row.minima[0], "ours": row.minima[1]},
-                    "noise_db": {"published": row.noise_db[0], "ours": row.noise_db[1]},
-                    "better": row.better,
-                    "seconds": row.seconds,
-                }
-                for row in rows
-            ]
-        },
-        "seed": seed,
-        "warnings": [f"stopped early: {unfinished} codes are left out"] if unfinished else [],
+        "folder": output,
+        "files": [index, *(file for part in parts.values() for file in part.files.values())],
+        "tables": {name: part.tables for name, part in parts.items()},
+        "failures": {name: part.failures for name, part in parts.items() if part.failures},
+        "missing": {name: part.missing for name, part in parts.items() if part.missing},
+        "unmade": unmade,
+        "warnings": warnings,
     }
 
-    def show(console: Console) -> None:
-        console.print(table(f"smallest |P|, and noise relative to DC; {time_s:g} s each", head, lines))
-        console.print(f"better on both: {sum(row.better for row in rows)} of {len(rows)}")
+    def page(console: Console) -> None:
+        for show in shows:
+            show(console)
+        console.print(f"{output}: {INDEX}, {', '.join(jobs)}")
 
-    finish(result, as_json=as_json, show=show)
+    finish(result, as_json=as_json, show=page)
+    if failed:
+        complain(f"{failed} cells failed: {index} names them")
+        raise typer.Exit(FAILURE)
 
 
-def _escaped(value: object) -> str:
-    return str(value).replace("|", "\\|")
+def _jobs(
+    output: Path, engine: Engine, *, data: Path | None, gyro: Path | None, quick: bool, force: bool
+) -> dict[str, Job]:
+    """Plan all tables, each in a folder of its own name; they share their cells."""
+    names, time_s = (_QUICK_CODES, _QUICK_SEARCH_S) if quick else ((), bench_codes.SEARCH_S)
+    jobs = {
+        "codes": bench_codes.codes_job(
+            output / "codes", engine, names=names, time_s=time_s, seed=0, force=force
+        ),
+        # before the blind table, whose cells these are: a cost is measured while nothing else runs
+        "speed": bench_blind.speed_job(
+            output / "speed", Engine(engine.cache, 1, engine.dask), data=data, protocol="paper", methods="", gyro=None,
+            quick=quick, force=force,
+        ),
+    }  # fmt: skip
+    for protocol in _PROTOCOLS:
+        name = f"blind-{protocol}"
+        jobs[name] = bench_blind.blind_job(
+            output / name, engine, data=data, protocol=protocol, methods="",
+            gyro=gyro if protocol == "ours" else None, quick=quick, force=force,
+        )  # fmt: skip
+    for protocol in _PROTOCOLS:
+        name = f"cep-{protocol}"
+        jobs[name] = bench_cep.cep_job(
+            output / name, engine, data=data, protocol=protocol, designs="", quick=quick, force=force
+        )
+    return jobs
+
+
+def _refuse_options(context: typer.Context) -> None:
+    """Refuse options before the name of a table: they would be read for all tables, and lost."""
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if source is not None and source.name == "COMMANDLINE":
+            option, table = parameter.opts[0], context.invoked_subcommand
+            raise ValueError(f"{option}: belongs after the table's name: cep bench {table} {option}")

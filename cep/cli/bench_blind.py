@@ -7,15 +7,35 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.cli.bench_options import Cache, Dask, Data, Quick, Workers, finish_bench, spelled, told
-from cep.cli.console import progress
+from cep.cli.bench_options import (
+    Cache,
+    Dask,
+    Data,
+    Engine,
+    Gyro,
+    Job,
+    Quick,
+    Workers,
+    figures_of,
+    run_job,
+    show_tables,
+    spelled,
+    told,
+)
 from cep.cli.options import Force, Json
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from rich.console import Console
+
     from cep.bench.blind.run import Plan
     from cep.bench.engine import Outcome
+    from cep.bench.index import Part
+    from cep.bench.tables import Table
+    from cep.cli.console import Tick
 
-__all__ = ["blind", "speed"]
+__all__ = ["blind", "blind_job", "speed", "speed_job"]
 
 Methods = Annotated[
     str,
@@ -26,7 +46,6 @@ Methods = Annotated[
     ),
 ]
 ProtocolName = Annotated[str, typer.Option("--protocol", help="paper, ours, or a .toml file like these.")]
-Gyro = Annotated[Path | None, typer.Option("--gyro", help="Recording of a gyroscope, for the hand shake of ours.")]
 
 
 def blind(
@@ -49,35 +68,9 @@ def blind(
 
     Example: cep bench blind --quick -o blind
     """
-    from cep.bench.blind.methods import UNUSUAL
-    from cep.bench.blind.report import outputs, write_report
-    from cep.bench.blind.tables import blind_tables
-    from cep.bench.blind.work import CEILINGS
-    from cep.bench.machine import machine
-    from cep.outputs import claim_folder
-
-    claim_folder(output, outputs("blind"), force=force)
-    names, plan, warnings = _plan(data, protocol, methods, gyro, quick)
-    outcome = _run(plan, cache or output / "cells", workers or machine()["cores"] or 1, dask)
-    warnings += told(outcome)
-    title = f"Blind, {plan.protocol.name}"
-    tables = blind_tables(outcome.figures, plan.lights, title=title, seed=plan.protocol.seed)
-    last = [name for name in CEILINGS[-1:] if any(cell.name[0] == name for cell in plan.cells)]
-    files = write_report(
-        output,
-        "blind",
-        tables,
-        plan=plan,
-        outcome=outcome,
-        command=_command("blind", data, protocol, methods, gyro, quick),
-        warnings=warnings,
-        pictured=(*names, *last),
-        unmeasured={} if methods else UNUSUAL,
-        force=force,
-    )
-    about = {"folder": output, "protocol": plan.protocol, "methods": names}
-    failures = {"/".join(name): reason for name, reason in outcome.failures.items()}
-    finish_bench(about, tables, files, failures=failures, missing=outcome.missing, warnings=warnings, as_json=as_json)
+    engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
+    job = blind_job(output, engine, data=data, protocol=protocol, methods=methods, gyro=gyro, quick=quick, force=force)
+    run_job(job, force=force, as_json=as_json)
 
 
 def speed(
@@ -98,25 +91,79 @@ def speed(
 
     Example: cep bench speed --quick -o speed
     """
+    engine = Engine.of(output, cache=cache, workers=1, dask=dask)
+    job = speed_job(output, engine, data=data, protocol=protocol, methods=methods, gyro=gyro, quick=quick, force=force)
+    run_job(job, force=force, as_json=as_json)
+
+
+def blind_job(
+    output: Path,
+    engine: Engine,
+    *,
+    data: Path | None,
+    protocol: str,
+    methods: str,
+    gyro: Path | None,
+    quick: bool,
+    force: bool,
+) -> Job:
+    """Plan the blind table; the parameters are the options of :func:`blind`."""
+    from cep.bench.blind.methods import UNUSUAL
+    from cep.bench.blind.report import outputs, write_report
+    from cep.bench.blind.tables import blind_tables
+    from cep.bench.blind.work import CEILINGS
+
+    names, plan, warnings = _plan(data, protocol, methods, gyro, quick)
+    title = f"Blind, {plan.protocol.name}"
+    command = _command("blind", data, protocol, methods, gyro, quick)
+
+    def run(tick: Tick) -> tuple[Part, Callable[[Console], None]]:
+        outcome = _run(plan, engine, tick)
+        all_warnings = [*warnings, *told(outcome)]
+        tables = blind_tables(outcome.figures, plan.lights, title=title, seed=plan.protocol.seed)
+        last = [name for name in CEILINGS[-1:] if any(cell.name[0] == name for cell in plan.cells)]
+        files = write_report(
+            output, "blind", tables, plan=plan, outcome=outcome, command=command, warnings=all_warnings,
+            pictured=(*names, *last), unmeasured={} if methods else UNUSUAL, force=force,
+        )  # fmt: skip
+        return _part(title, command, tables, files, outcome, all_warnings)
+
+    about = {"folder": output, "protocol": plan.protocol, "methods": names}
+    return Job(output, outputs("blind"), about, run)
+
+
+def speed_job(
+    output: Path,
+    engine: Engine,
+    *,
+    data: Path | None,
+    protocol: str,
+    methods: str,
+    gyro: Path | None,
+    quick: bool,
+    force: bool,
+) -> Job:
+    """Plan the speed table; the parameters are the options of :func:`speed`."""
     from cep.bench.blind.report import outputs, write_report
     from cep.bench.blind.run import one_each
     from cep.bench.blind.tables import speed_tables
-    from cep.outputs import claim_folder
 
-    claim_folder(output, outputs("speed"), force=force)
     names, whole, warnings = _plan(data, protocol, methods, gyro, quick)
     plan = one_each(whole)
-    outcome = _run(plan, cache or output / "cells", 1, dask)
-    warnings += told(outcome)
     title = f"One estimate from a photo of {plan.protocol.crop_px} px, {plan.protocol.name}"
-    tables = speed_tables(outcome.figures, title=title, seed=plan.protocol.seed)
     command = _command("speed", data, protocol, methods, gyro, quick)
-    files = write_report(
-        output, "speed", tables, plan=plan, outcome=outcome, command=command, warnings=warnings, force=force
-    )
+
+    def run(tick: Tick) -> tuple[Part, Callable[[Console], None]]:
+        outcome = _run(plan, engine, tick)
+        all_warnings = [*warnings, *told(outcome)]
+        tables = speed_tables(outcome.figures, title=title, seed=plan.protocol.seed)
+        files = write_report(
+            output, "speed", tables, plan=plan, outcome=outcome, command=command, warnings=all_warnings, force=force
+        )
+        return _part(title, command, tables, files, outcome, all_warnings)
+
     about = {"folder": output, "protocol": plan.protocol, "methods": names}
-    failures = {"/".join(name): reason for name, reason in outcome.failures.items()}
-    finish_bench(about, tables, files, failures=failures, missing=outcome.missing, warnings=warnings, as_json=as_json)
+    return Job(output, outputs("speed"), about, run)
 
 
 def _plan(
@@ -136,11 +183,23 @@ def _plan(
     return tuple(map(label_of, names)), plan, [*warnings, *plan.warnings]
 
 
-def _run(plan: Plan, cache: Path, workers: int, dask: str | None) -> Outcome:
+def _run(plan: Plan, engine: Engine, tick: Tick) -> Outcome:
     from cep.bench.engine import run_cells
 
-    with progress("measuring") as tick:
-        return run_cells(plan.cells, cache=cache, workers=workers, dask=dask, progress=tick)
+    return run_cells(plan.cells, cache=engine.cache, workers=engine.workers, dask=engine.dask, progress=tick)
+
+
+def _part(
+    title: str, command: str, tables: Sequence[Table], files: Mapping[str, Path], outcome: Outcome, warnings: list[str]
+) -> tuple[Part, Callable[[Console], None]]:
+    from cep.bench.index import Part, first_table
+
+    failures = {"/".join(name): reason for name, reason in outcome.failures.items()}
+    part = Part(
+        title, command, first_table(tables), figures_of(tables), files, failures, outcome.missing, warnings,
+        outcome.machines,
+    )  # fmt: skip
+    return part, lambda console: show_tables(console, tables)
 
 
 def _command(name: str, data: Path | None, protocol: str, methods: str, gyro: Path | None, quick: bool) -> str:

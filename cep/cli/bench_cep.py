@@ -7,17 +7,33 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.cli.bench_options import Cache, Dask, Data, Quick, Workers, finish_bench, spelled
-from cep.cli.console import progress
+from cep.cli.bench_options import (
+    Cache,
+    Dask,
+    Data,
+    Engine,
+    Job,
+    Quick,
+    Workers,
+    figures_of,
+    run_job,
+    show_tables,
+    spelled,
+)
 from cep.cli.options import Force, Json
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
     from numpy.typing import NDArray
+    from rich.console import Console
 
     from cep.bench.coded.protocol import CodedProtocol
+    from cep.bench.index import Part
+    from cep.cli.console import Tick
 
-__all__ = ["cep"]
+__all__ = ["cep", "cep_job"]
 
 
 def cep(
@@ -43,38 +59,49 @@ def cep(
 
     Example: cep bench cep --quick --protocol ours -o coded
     """
+    engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
+    job = cep_job(output, engine, data=data, protocol=protocol, designs=designs, quick=quick, force=force)
+    run_job(job, force=force, as_json=as_json)
+
+
+def cep_job(
+    output: Path, engine: Engine, *, data: Path | None, protocol: str, designs: str, quick: bool, force: bool
+) -> Job:
+    """Plan the coded-exposure table; the parameters are the options of :func:`cep`."""
     from cep.bench.coded.designs import DESIGNS
     from cep.bench.coded.protocol import coded_protocol
     from cep.bench.coded.report import OUTPUTS, write_coded_report
     from cep.bench.coded.run import measure_coded
     from cep.bench.coded.tables import coded_tables
-    from cep.bench.machine import machine
-    from cep.outputs import claim_folder
+    from cep.bench.index import Part, first_table
 
-    claim_folder(output, OUTPUTS, force=force)
     chosen = coded_protocol(protocol)
     chosen = chosen.quick if quick else chosen
     names = [name.strip() for name in designs.split(",")] if designs else list(DESIGNS)
     scenes, warnings = _scenes(data, chosen)
-    with progress("measuring") as tick:
-        measured = measure_coded(
-            chosen, scenes, cache=cache or output / "cells", designs=names,
-            workers=workers or machine()["cores"] or 1, dask=dask, progress=tick,
-        )  # fmt: skip
-    warnings += list(measured.warnings)
-    if measured.failures:
-        name, reason = next(iter(measured.failures.items()))
-        warnings.append(f"{len(measured.failures)} cells failed, the first: {name}: {reason}")
-    if measured.missing:
-        warnings.append("stopped early: cells are left out; the same command with --force goes on")
-    tables = coded_tables(measured)
     given = {"--data": data and data.resolve().name, "--protocol": Path(protocol).name, "--designs": designs}
     command = spelled("cep", given, quick=quick)
-    files = write_coded_report(output, tables, measured, command=command, warnings=warnings, force=force)
+
+    def run(tick: Tick) -> tuple[Part, Callable[[Console], None]]:
+        measured = measure_coded(
+            chosen, scenes, cache=engine.cache, designs=names, workers=engine.workers, dask=engine.dask, progress=tick
+        )
+        all_warnings = [*warnings, *measured.warnings]
+        if measured.failures:
+            name, reason = next(iter(measured.failures.items()))
+            all_warnings.append(f"{len(measured.failures)} cells failed, the first: {name}: {reason}")
+        if measured.missing:
+            all_warnings.append("stopped early: cells are left out; the same command with --force goes on")
+        tables = coded_tables(measured)
+        files = write_coded_report(output, tables, measured, command=command, warnings=all_warnings, force=force)
+        part = Part(
+            f"Coded exposure, {chosen.name}", command, first_table(tables), figures_of(tables), files,
+            measured.failures, measured.missing, all_warnings, measured.machines,
+        )  # fmt: skip
+        return part, lambda console: show_tables(console, tables)
+
     about = {"folder": output, "protocol": chosen.name, "designs": names}
-    finish_bench(
-        about, tables, files, failures=measured.failures, missing=measured.missing, warnings=warnings, as_json=as_json
-    )
+    return Job(output, OUTPUTS, about, run)
 
 
 def _scenes(data: Path | None, protocol: CodedProtocol) -> tuple[dict[str, NDArray[np.float64]], list[str]]:

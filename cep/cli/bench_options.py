@@ -1,22 +1,40 @@
-"""Options that the benchmarks share."""
+"""What the benchmarks share: options, a table as a job, and how it ends."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cep.cli.console import finish, table
+from cep.cli.console import finish, progress, table
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from cep.bench.engine import Outcome
+    from cep.bench.index import Part
     from cep.bench.tables import Entry, Table
+    from cep.cli.console import Tick
 
-__all__ = ["Cache", "Dask", "Data", "Quick", "Workers", "finish_bench", "spelled", "told"]
+__all__ = [
+    "Cache",
+    "Dask",
+    "Data",
+    "Engine",
+    "Gyro",
+    "Job",
+    "Quick",
+    "Workers",
+    "figures_of",
+    "finish_bench",
+    "run_job",
+    "show_tables",
+    "spelled",
+    "told",
+]
 
 Data = Annotated[
     Path | None, typer.Option("--data", help="Folder of photos; scikit-image's own when omitted, fit to try it only.")
@@ -25,6 +43,7 @@ Quick = Annotated[bool, typer.Option("--quick", help="The protocol's small size.
 Workers = Annotated[
     int | None, typer.Option("--workers", min=1, help="Processes, one thread each; as many as cores when omitted.")
 ]
+Gyro = Annotated[Path | None, typer.Option("--gyro", help="Recording of a gyroscope, for the hand shake of ours.")]
 Dask = Annotated[str | None, typer.Option("--dask", help="Scheduler of a Dask cluster to run on, as tcp://host:8786.")]
 Cache = Annotated[
     Path | None,
@@ -32,48 +51,88 @@ Cache = Annotated[
 ]
 
 
-def finish_bench(
-    about: Mapping[str, object],
-    tables: Sequence[Table],
-    files: Mapping[str, Path],
-    *,
-    failures: Mapping[str, str],
-    missing: int,
-    warnings: Sequence[str],
-    as_json: bool,
-) -> None:
+@dataclass(frozen=True)
+class Engine:
+    """Where cells are kept and what runs them, as :func:`cep.bench.engine.run_cells` takes it."""
+
+    cache: Path
+    workers: int
+    dask: str | None
+
+    @classmethod
+    def of(cls, output: Path, *, cache: Path | None, workers: int | None, dask: str | None) -> Engine:
+        """Fill in what was not said: cells in the output, as many workers as there are cores."""
+        from cep.bench.machine import machine
+
+        return cls(cache or output / "cells", workers or machine()["cores"] or 1, dask)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A table that is planned, so that what was wrong is known, and not yet measured.
+
+    Attributes
+    ----------
+    folder : Path
+    files : sequence of str
+        Those it will write.
+    about : mapping
+        What was asked for, for the JSON.
+    run : function
+        Measures, writes the files and returns them as a part, with what prints its tables.
+    """
+
+    folder: Path
+    files: Sequence[str]
+    about: Mapping[str, object]
+    run: Callable[[Tick], tuple[Part, Callable[[Console], None]]]
+
+
+def run_job(job: Job, *, force: bool, as_json: bool) -> None:
+    """Do what a command with a single table does."""
+    from cep.outputs import claim_folder
+
+    claim_folder(job.folder, job.files, force=force)
+    with progress("measuring") as tick:
+        part, show = job.run(tick)
+    finish_bench(job.about, part, show, as_json=as_json)
+
+
+def finish_bench(about: Mapping[str, object], part: Part, show: Callable[[Console], None], *, as_json: bool) -> None:
     """Print what every benchmark that writes a folder ends with.
 
     Parameters
     ----------
     about : mapping
         What was asked for: folder, protocol, and what was compared.
-    tables : sequence of Table
-    files : mapping from a file's name to its path
-    failures : mapping from a cell's label to its reason
-    missing : int
-        Cells not reached.
-    warnings : sequence of str
+    part : Part
+    show : function that prints the tables
     as_json : bool
     """
     result = {
         **about,
-        "files": list(files.values()),
-        "tables": _figures_of(tables),
-        "failures": failures,
-        "missing": missing,
-        "warnings": warnings,
+        "files": list(part.files.values()),
+        "tables": part.tables,
+        "failures": part.failures,
+        "missing": part.missing,
+        "warnings": part.warnings,
     }
-    finish(result, as_json=as_json, show=lambda console: _show_tables(console, tables, files))
+
+    def page(console: Console) -> None:
+        show(console)
+        folder = next(iter(part.files.values())).parent
+        console.print(f"{folder}: {', '.join(part.files)}")
+
+    finish(result, as_json=as_json, show=page)
 
 
 def spelled(name: str, given: Mapping[str, object], *, quick: bool) -> str:
-    """Spell ``cep bench NAME`` with the options given, for a report: without anybody's folders."""
-    words = [f"{option} {value}" for option, value in given.items() if value]
-    return " ".join(["cep bench", name, *words, *(["--quick"] if quick else [])])
+    """Spell ``cep bench NAME`` with the options given, an empty one for arguments, without anybody's folders."""
+    words = [f"{option} {value}".strip() for option, value in given.items() if value]
+    return " ".join(filter(None, ["cep bench", name, *words, "--quick" if quick else ""]))
 
 
-def _figures_of(tables: Sequence[Table]) -> dict[str, Any]:
+def figures_of(tables: Sequence[Table]) -> dict[str, Any]:
     """Tables as every benchmark's JSON has them: title, row, figure."""
     return {
         one.title: {
@@ -93,17 +152,14 @@ def _figures_of(tables: Sequence[Table]) -> dict[str, Any]:
     }
 
 
-def _show_tables(console: Console, tables: Sequence[Table], files: Mapping[str, Path]) -> None:
-    """Print the tables' means for people, who find the intervals in the files, and where these are."""
+def show_tables(console: Console, tables: Sequence[Table]) -> None:
+    """Print the tables' means for people, who find the intervals in the files."""
     for one in tables:
         lines = [
             (label, *map(_mean, entries, (column.digits for column in one.columns)), one.cells[label])
             for label, entries in one.rows.items()
         ]
         console.print(table(one.title, one.head, lines))
-    if files:
-        folder = next(iter(files.values())).parent
-        console.print(f"{folder}: {', '.join(files)}")
 
 
 def _mean(entry: Entry, digits: int) -> str | None:

@@ -1,4 +1,4 @@
-"""``cep calibrate``: one photo to the motion in it."""
+"""``cep calibrate``: a photo, or each of a folder, to the motion in it."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from typing import Annotated
 
 import typer
 
+from cep.cli.bench_options import Cache, Dask, Workers
+from cep.cli.calibrate_folder import calibrate_folder
 from cep.cli.console import finish, progress
+from cep.cli.folders import only_of_folders
 from cep.cli.options import Force, Gamma, Json, Seed
 
 __all__ = ["calibrate"]
 
 
 def calibrate(
-    image: Annotated[Path, typer.Argument(help="Blurred calibration photo: PNG, TIFF, JPEG or RAW.")],
+    image: Annotated[Path, typer.Argument(help="Blurred photo: PNG, TIFF, JPEG or RAW; or a folder of such.")],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder to write into; IMAGE_motion when omitted.")
     ] = None,
@@ -27,7 +30,10 @@ def calibrate(
             "point (a small light), gyro.",
         ),
     ] = "motdiff",
-    sharp: Annotated[Path | None, typer.Option("--sharp", help="reference: a sharp photo of the same scene.")] = None,
+    sharp: Annotated[
+        Path | None,
+        typer.Option("--sharp", help="reference: a sharp photo of the same scene; or a folder, one for each by name."),
+    ] = None,
     gyro: Annotated[Path | None, typer.Option("--gyro", help="gyro: table of time and three rates (rad/s).")] = None,
     focal: Annotated[float | None, typer.Option("--focal", help="gyro: focal length, px.")] = None,
     start: Annotated[float | None, typer.Option("--start", help="gyro: opening on the recording's clock, s.")] = None,
@@ -37,21 +43,38 @@ def calibrate(
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="motdiff: in half the time, less exact.")] = False,
     gamma: Gamma = "srgb",
+    workers: Workers = None,
+    dask: Dask = None,
+    cache: Cache = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Estimate the motion in one blurred photo.
+    """Estimate the motion in one blurred photo, or in each photo of a folder.
 
-    Writes trajectory.json, psf.npy, psf.mat, psf.png, map.png and preview.png.
+    Writes trajectory.json, psf.npy, psf.mat, psf.png, map.png and preview.png; of a folder, into a folder for each
+    photo, named like it, and motions.csv. Finished photos are kept: stopped by Ctrl-C, the same command goes on.
 
     Example: cep calibrate blurred.jpg -o motion
+
+    Example: cep calibrate shots -o shots_motion --workers 4
     """
     from cep.calibrate import CALIBRATION_FILES, check_texture, make_estimator, write_calibration
     from cep.images import read_image, read_photo
     from cep.outputs import claim_folder
     from motdiff.gyro import read_gyro
 
+    if image.is_dir():
+        options = {
+            "samples": samples, "quick": quick or None, "sharp": sharp, "gyro": gyro, "focal_px": focal,
+            "start_s": start, "exposure_s": exposure,
+        }  # fmt: skip
+        calibrate_folder(
+            image, method, options, gamma=gamma, seed=seed, workers=workers, dask=dask, cache=cache, output=output,
+            force=force, as_json=as_json,
+        )  # fmt: skip
+        return
+    only_of_folders("cep calibrate FOLDER", workers, dask, cache)
     folder = output or image.with_name(f"{image.stem}_motion")
     claim_folder(folder, CALIBRATION_FILES, force=force)
     photo = read_photo(image, gamma=gamma)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.cli.console import finish, table
+from cep.cli.bench_options import Cache, Dask, Workers
+from cep.cli.console import finish, progress, table
+from cep.cli.folders import only_of_folders
 from cep.cli.frames import optimize_frames
+from cep.cli.optimize_folder import optimize_folder
 from cep.cli.options import (
     CameraFile,
     Force,
@@ -18,15 +21,16 @@ from cep.cli.options import (
     ReadNoise,
     Seed,
     TrajectoryFile,
-    code_figures,
     load_camera,
     load_motion,
 )
-from cep.cli.search_options import Wish, on_the_circle, problem_of
-from cep.cli.searching import bounded, search, warnings_of
+from cep.cli.search_options import Wish
+from cep.cli.searching import Task, search_of, task_of, unplayable, warnings_of
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from motdiff.files import StoredMotion
 
 __all__ = ["optimize"]
 
@@ -36,6 +40,10 @@ _STANDARD_CHIPS = 52
 def optimize(
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
+    each: Annotated[
+        Path | None,
+        typer.Option("--each", help="A code for each motion of a folder, FOLDER/*/trajectory.json, as calibrated."),
+    ] = None,
     chips: Annotated[int, typer.Option("--chips", "-n", min=1, help="Number of chips.")] = _STANDARD_CHIPS,
     open_chips: Annotated[str | None, typer.Option("--open", help="Open chips: K, or LOW:HIGH.")] = None,
     duty: Annotated[str | None, typer.Option("--duty", help="Open fraction of the time, LOW:HIGH, 0..1.")] = None,
@@ -94,14 +102,25 @@ def optimize(
     frames: Annotated[
         int, typer.Option("--frames", min=1, help="Exposures restored together, each with its own code: code_1.json")
     ] = 1,
-    time_s: Annotated[float, typer.Option("--time", help="Time limit, s; a proof runs to its end.")] = 60.0,
+    time_s: Annotated[
+        float,
+        typer.Option("--time", help="Time limit of a code, s; what it ends differs from run to run. A proof runs on."),
+    ] = 60.0,
     steps: Annotated[
         int | None,
         typer.Option(
             "--steps", min=1, help="Moves to try; the same seed and moves give the same code. As suits the motion."
         ),
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")] = Path("code.json"),
+    workers: Workers = None,
+    dask: Dask = None,
+    cache: Cache = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="File to write, code.json; of --each a folder, the motions' own when omitted."
+        ),
+    ] = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
@@ -119,105 +138,75 @@ def optimize(
     Example: cep optimize --linear 36 --chips 36 --method exact
 
     Example: cep optimize --linear 52 --open 26 --objective min-mtf:0.15,noise:1
+
+    Example: cep optimize --each shots_motion --chips 40 --duty 0.4:0.6 --time 600
     """
-    from dataclasses import asdict, replace
+    from dataclasses import replace
 
-    import numpy as np
-
-    from cep.baselines.compare import compare
-    from cep.certify.certificate import certify
-    from cep.design import check_frame, check_resolved
     from cep.files import StoredCode, write_code
+    from cep.optimize import appraise, report, search
     from cep.outputs import claim
+    from cep.search.exhaustive.exact import codes_to_count
     from hw.device import load_profile
-    from hw.program import Program
 
-    if method not in ("anneal", "exact"):
-        raise ValueError(f"--method: must be anneal or exact, got {method!r}")
-    if effort not in ("quick", "sdp"):
-        raise ValueError(f"--bound: must be quick or sdp, got {effort!r}")
+    how = search_of(method, effort, steps=steps, time_s=time_s, seed=seed)
     wish = Wish(
         chips=chips, chip_ns=chip_ns, open_chips=open_chips, duty=duty, objective=objective, direction=direction,
         min_open=min_open, max_open=max_open, min_closed=min_closed, min_period=min_period, max_pulses=max_pulses,
         first_open=first_open, last_open=last_open, fixed=fixed, alternatives=alternatives, speed=speed, drift=drift,
         jitter=jitter, rule=rule,
     )  # fmt: skip
-    stored = load_motion(trajectory, linear)
-    motion = stored.trajectory
-    check_frame(motion)
-    check_resolved(motion, chips)
     profile = None if device is None else load_profile(device)
-    problem = problem_of(
-        wish,
-        stored,
-        camera=load_camera(camera, photons=photons, read_noise=read_noise),
-        profile=profile,
-        rng=np.random.default_rng([seed, 2]),
-    )
-    straight = on_the_circle(problem)
-    searched = replace(problem, scenarios=()) if straight and problem.objective == "min-mtf" else problem
-    described = {
-        **{name: value for name, value in asdict(wish).items() if name not in ("open_chips", "duty", "chip_ns")},
-        "trajectory": None if trajectory is None else str(trajectory),
-        "linear_px": linear,
-        "open_range": problem.open_limits,
-        "objective": problem.objective,
-        "min_open": problem.min_open,
-        "max_open": problem.max_open,
-        "min_closed": problem.min_closed,
-        "min_period": problem.min_period,
-        "max_pulses": problem.max_pulses,
-        "fixed": problem.fixed,
-        "device": device,
-        "camera": problem.camera.to_dict(),
-        "method": method,
-        "seed": seed,
-    }
+    light = load_camera(camera, photons=photons, read_noise=read_noise)
+
+    def task(stored: StoredMotion, path: Path | None) -> Task:
+        source = {"trajectory": None if path is None else str(path), "linear_px": linear, "device": device}
+        return task_of(wish, stored, how, camera=light, profile=profile, source=source)
+
+    if each is not None:
+        if trajectory is not None or linear is not None or frames > 1:
+            raise ValueError("--each: takes the place of --trajectory and --linear, and searches one frame for each")
+        optimize_folder(
+            each, task, how, profile=profile, chip_ns=chip_ns, workers=workers, dask=dask, cache=cache, output=output,
+            force=force, as_json=as_json,
+        )  # fmt: skip
+        return
+    only_of_folders("--each", workers, dask, cache)
+    if trajectory is not None and trajectory.is_dir():
+        raise ValueError(f"{trajectory}: is a folder; --each FOLDER searches a code for each motion in it")
+    wanted = task(load_motion(trajectory, linear), trajectory)
+    problem, described = wanted.problem, wanted.described
+    file = output or Path("code.json")
     if frames > 1:
         if method != "anneal":
             raise ValueError(f"--frames: several codes are searched with --method anneal only, got {method!r}")
         optimize_frames(
-            problem, searched, frames, described=described, profile=profile, chip_ns=chip_ns, steps=steps,
-            time_s=time_s, seed=seed, output=output, force=force, as_json=as_json,
+            problem, wanted.searched, frames, described=described, profile=profile, chip_ns=chip_ns, steps=steps,
+            time_s=time_s, seed=seed, output=file, force=force, as_json=as_json,
         )  # fmt: skip
         return
-    claim([output], force=force)
-    found = search(searched, method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)
-    code = replace(found["code"], chip_ns=chip_ns)
-    problems = profile.check(Program.from_bits(code.bits, chip_ns=chip_ns)) if profile else ()
-    if problems:
-        raise ValueError(f"no code was found that the device can play: {'; '.join(problems)}")
-    described |= {"steps": found["steps"], "proof": found["proof"]}
-    write_code(output, StoredCode(code, problem=described))  # already: Ctrl-C from here on must not lose it
-    ours, *others = compare(problem, code, rng=np.random.default_rng([seed, 1]))
-    metrics = ours.metrics
-    certificate = certify(code, None if straight else _as_designed(motion, direction)).to_dict()
-    figure, limit, gap = bounded(problem, metrics, straight=straight, effort=effort)
-    write_code(output, StoredCode(code, metrics.to_dict(), described, certificate))
-    warnings = warnings_of(problem, interrupted=found["interrupted"], method=method)
+    claim([file], force=force)
+    label = f"counting {codes_to_count(wanted.searched):.2g} codes" if method == "exact" else "searching"
+    with progress(label) as tick:
+        found = search(wanted.searched, how, progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"))
+    code = replace(found.code, chip_ns=chip_ns)
+    if reason := unplayable(code.bits, profile, chip_ns):
+        raise ValueError(reason)
+    described = {**described, "steps": found.steps, "proof": found.proof}
+    write_code(file, StoredCode(code, problem=described))  # already: Ctrl-C from here on must not lose it
+    worth = appraise(problem, code, along=wanted.along, effort=how.effort, seed=seed)
+    write_code(file, StoredCode(code, worth.ours.metrics.to_dict(), described, worth.certificate))
     result = {
-        "file": output,
-        **code_figures(code),
-        "chip_ns": chip_ns,
-        **metrics.to_dict(),
-        "objective": found["objective"],
-        "proven": found["proof"] is not None and not found["interrupted"],
-        "certificate": certificate,
-        "bound": limit,
-        "gap": gap,
-        "seconds": found["seconds"],
-        "steps": found["steps"],
-        "interrupted": found["interrupted"],
-        "baselines": {
-            row.name: {"bits": row.code.bits, "open": row.code.open_chips, **row.metrics.to_dict()} for row in others
-        },
+        "file": file,
+        **report(found, worth),
         "seed": seed,
-        "warnings": warnings,
+        "warnings": warnings_of(problem, interrupted=found.interrupted, method=method),
     }
+    straight = wanted.along is None
 
     def show(console: Console) -> None:
-        console.print(f"{output}: {code.bits}")
-        console.print(f"{code.open_chips} of {chips} chips open, {code.pulses} openings, {found['seconds']:.1f} s")
+        console.print(f"{file}: {code.bits}")
+        console.print(f"{code.open_chips} of {chips} chips open, {code.pulses} openings, {found.seconds:.1f} s")
         columns = ("code", "open", "min |P|, chips" if straight else "min MTF", "noise gain, dB", "MSE, dB")
         lowest = "min_chip" if straight else "min_mtf"
         rows = [
@@ -226,25 +215,16 @@ def optimize(
                 row.code.open_chips,
                 *(row.metrics.in_words(name) for name in (lowest, "noise_gain_db", "mse_db")),
             )
-            for row in (ours, *others)
+            for row in (worth.ours, *worth.others)
         ]
         console.print(table("compared on this motion (worse direction where unknown)", columns, rows))
         console.print(
             f"certified: min {'|P|' if straight else '|H|'} lies within "
-            f"{certificate['lower']:.6g}..{certificate['upper']:.6g} ({certificate['method']})"
+            f"{worth.certificate['lower']:.6g}..{worth.certificate['upper']:.6g} ({worth.certificate['method']})"
         )
-        if result["proven"]:
-            console.print(f"proven: no code within the limits is better on {found['proof']['domain']}")
-        elif limit is not None:
-            console.print(f"{figure}: no code with so many open chips can do better than {limit:.4g}")
+        if result["proven"] and found.proof is not None:
+            console.print(f"proven: no code within the limits is better on {found.proof['domain']}")
+        elif worth.bound is not None:
+            console.print(f"{worth.figure}: no code with so many open chips can do better than {worth.bound:.4g}")
 
     finish(result, as_json=as_json, show=show)
-
-
-def _as_designed(motion: Any, direction: str) -> Any:
-    """Return the motion with the direction that the search counted."""
-    from dataclasses import replace
-
-    return (
-        motion if direction == "auto" else replace(motion, direction="known" if direction == "forward" else "unknown")
-    )

@@ -1,98 +1,117 @@
-"""What ``cep optimize`` runs: the search or the proof, and the bound that its result is held against."""
+"""What ``cep optimize`` searches along one motion, made of its options."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from cep.cli.console import progress
+from cep.cli.search_options import Wish, on_the_circle, problem_of
 
 if TYPE_CHECKING:
-    from cep.code import ShutterCode
+    from cep.camera import Camera
+    from cep.optimize import Search
     from cep.search.problem import SearchProblem
+    from hw.device import DeviceProfile
+    from motdiff.files import StoredMotion
+    from motdiff.trajectory import Trajectory
 
-__all__ = ["bounded", "search", "warnings_of"]
-
-_RELAXED = 128  # chips to which the relaxation takes seconds
-_ROUNDED = 16  # codes drawn from it
+__all__ = ["Task", "search_of", "task_of", "unplayable", "warnings_of"]
 
 
-def search(
-    problem: SearchProblem, *, method: str, effort: str, steps: int | None, time_s: float, seed: int
-) -> dict[str, Any]:
-    """Run the search; code, objective, steps, seconds, interrupted, and the proof's log, None without one."""
+@dataclass(frozen=True)
+class Task:
+    """A search along one motion.
+
+    Attributes
+    ----------
+    problem : SearchProblem
+        To measure on.
+    searched : SearchProblem
+        To search: the unit circle where only the code's polynomial matters.
+    along : Trajectory or None
+        What the certificate is for, None on the unit circle.
+    described : mapping
+        What the code file says of the problem.
+    """
+
+    problem: SearchProblem
+    searched: SearchProblem
+    along: Trajectory | None
+    described: Mapping[str, Any]
+
+
+def search_of(method: str, effort: str, *, steps: int | None, time_s: float, seed: int) -> Search:
+    """Check the options that say how to search."""
+    from cep.optimize import Search
+
+    if method not in ("anneal", "exact"):
+        raise ValueError(f"--method: must be anneal or exact, got {method!r}")
+    if effort not in ("quick", "sdp"):
+        raise ValueError(f"--bound: must be quick or sdp, got {effort!r}")
+    if method == "exact" and steps is not None:
+        raise ValueError("--steps: a proof with --method exact counts every code; leave it out")
+    return Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)  # type: ignore[arg-type]
+
+
+def task_of(
+    wish: Wish,
+    stored: StoredMotion,
+    how: Search,
+    *,
+    camera: Camera,
+    profile: DeviceProfile | None,
+    source: Mapping[str, object],
+) -> Task:
+    """Make the search of the options along a motion.
+
+    Parameters
+    ----------
+    wish, how, camera, profile
+        The options.
+    stored : StoredMotion
+    source : mapping
+        ``trajectory``, ``linear_px`` and ``device`` as they were given, for the code file.
+
+    Raises
+    ------
+    ValueError
+        If the path is too wide or too short, or the options are malformed or conflict.
+    """
     import numpy as np
 
-    from cep.baselines.published import for_chips
-    from cep.search.annealing.anneal import anneal, standard_moves
-    from cep.search.exhaustive.exact import codes_to_count, exact
+    from cep.design import check_frame, check_resolved
 
-    if method == "exact":
-        if steps is not None:
-            raise ValueError("--steps: a proof with --method exact counts every code; leave it out")
-        with progress(f"counting {codes_to_count(problem):.2g} codes") as tick:
-            proven = exact(problem, progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"))
-        unit = 1 if problem.scenarios else problem.chips  # |P| counts chips, the objective is light-true
-        return {
-            "code": proven.code,
-            "objective": -20 * float(np.log10(max(proven.minimum.upper / unit, 1e-300))),
-            "steps": codes_to_count(problem),
-            "seconds": proven.seconds,
-            "interrupted": not proven.proven,
-            "proof": proven.proof.to_dict(),
-        }
-    starts = _rounded(problem, seed) if effort == "sdp" else []
-    with progress("searching") as tick:
-        found = anneal(
-            problem,
-            rng=np.random.default_rng(seed),
-            steps=steps or standard_moves(problem),
-            time_s=time_s,
-            start=[*(entry.code for entry in for_chips(problem.chips)), *starts],
-            progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"),
-        )
-    return {
-        "code": found.code,
-        "objective": found.objective,
-        "steps": found.steps,
-        "seconds": found.seconds,
-        "interrupted": found.interrupted,
-        "proof": None,
+    motion = stored.trajectory
+    check_frame(motion)
+    check_resolved(motion, wish.chips)
+    problem = problem_of(wish, stored, camera=camera, profile=profile, rng=np.random.default_rng([how.seed, 2]))
+    straight = on_the_circle(problem)
+    described = {
+        **{name: value for name, value in asdict(wish).items() if name not in ("open_chips", "duty", "chip_ns")},
+        **source,
+        "open_range": problem.open_limits,
+        "objective": problem.objective,
+        "min_open": problem.min_open,
+        "max_open": problem.max_open,
+        "min_closed": problem.min_closed,
+        "min_period": problem.min_period,
+        "max_pulses": problem.max_pulses,
+        "fixed": problem.fixed,
+        "camera": problem.camera.to_dict(),
+        "method": how.method,
+        "seed": how.seed,
     }
+    searched = replace(problem, scenarios=()) if straight and problem.objective == "min-mtf" else problem
+    return Task(problem, searched, None if straight else _as_designed(motion, wish.direction), described)
 
 
-def _rounded(problem: SearchProblem, seed: int) -> list[ShutterCode]:
-    """Codes drawn from the relaxation along a path; on the unit circle it knows nothing of the code."""
-    import numpy as np
+def unplayable(bits: str, profile: DeviceProfile | None, chip_ns: int) -> str:
+    """Say why the device cannot play a code; empty where it can, or none was named."""
+    from hw.program import Program
 
-    from cep.code import ShutterCode
-    from cep.search.bounding.bounds import relaxed_minimum
-    from cep.search.bounding.relaxation import rounded_codes
-
-    low, high = problem.open_limits
-    k = min(max((low + high) // 2, 2), problem.chips - 1)
-    if not problem.scenarios or problem.response is not None or not low <= k <= high or problem.chips > _RELAXED:
-        return []
-    try:
-        codes = rounded_codes(relaxed_minimum(problem, k), _ROUNDED, rng=np.random.default_rng([seed, 3]))
-    except ValueError:  # no solver found an optimum: the search does without
-        return []
-    return [ShutterCode.from_array(code) for code in codes]
-
-
-def bounded(
-    problem: SearchProblem, metrics: Any, *, straight: bool, effort: str
-) -> tuple[str, float | None, float | None]:
-    """Name, bound and gap of the figure that was optimised, None where nothing bounds it."""
-    from cep.search.bounding.bounds import bound
-
-    if problem.objective not in ("min-mtf", "noise"):
-        return "", None, None
-    limits = bound(problem, effort=effort)  # type: ignore[arg-type]
-    if problem.objective == "noise":
-        return "noise gain, dB", limits.noise, metrics.noise_gain_db - limits.noise
-    limit, reached = (limits.min_chip, metrics.min_chip) if straight else (limits.min_mtf, metrics.min_mtf)
-    # with so many open chips every code may have a zero: then the limit is 0, and reached
-    return "min |P|, chips" if straight else "min MTF", limit, 1 - reached / limit if limit > 0 else 0.0
+    problems = profile.check(Program.from_bits(bits, chip_ns=chip_ns)) if profile else ()
+    return f"no code was found that the device can play: {'; '.join(problems)}" if problems else ""
 
 
 def warnings_of(problem: SearchProblem, *, interrupted: bool, method: str) -> list[str]:
@@ -104,3 +123,10 @@ def warnings_of(problem: SearchProblem, *, interrupted: bool, method: str) -> li
     if problem.response is not None or len(problem.scenarios) > 1 or problem.scenarios[0].edges is not None:
         told.append("the certificate is for a shutter that opens at once and on time, along the motion as it was given")
     return told
+
+
+def _as_designed(motion: Trajectory, direction: str) -> Trajectory:
+    """Return the motion with the direction that the search counted."""
+    return (
+        motion if direction == "auto" else replace(motion, direction="known" if direction == "forward" else "unknown")
+    )

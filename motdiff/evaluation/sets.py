@@ -236,10 +236,11 @@ def levin_photo(path: Path) -> Case:
         If it is no ``.mat`` file, or lacks a variable.
     """
     from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
 
     try:
         data = loadmat(path)
-    except (ValueError, TypeError, NotImplementedError) as error:
+    except (ValueError, TypeError, NotImplementedError, MatReadError) as error:
         raise ValueError(f"{path}: cannot be read as a .mat file ({' '.join(str(error).split())})") from None
     if missing := [name for name in "xyf" if name not in data]:
         raise ValueError(f"{path}: lacks the variable {missing[0]}; wanted x (sharp), y (blurred) and f (kernel)")

@@ -391,7 +391,7 @@ def test_unknown_kinds_of_output(refused, arguments):
         ["calibrate", "blurred.png", "--method", "point", "--sharp", "sharp.png"],
         ["calibrate", "blurred.png", "--gamma", "7"],
         ["calibrate", "blurred.png", "--method=gyro", "--gyro=blurred.png", "--focal=1", "--start=0", "--exposure=1"],
-        ["calibrate", "."],
+        ["calibrate", ".", "--method", "gyro"],
         ["deblur", "blurred.png"],
         ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--psf", "psf.npy"],
         ["deblur", "blurred.png", "--psf", "psf.npy", "--code", "1011"],

@@ -227,7 +227,7 @@ def test_pairs_must_be_pairs(tmp_path):
 
 def test_koehlers_photos_have_no_truth(tmp_path):
     for name in ("Blurry1_1.png", "Blurry1_2.png"):
-        write_image(tmp_path / name, np.random.default_rng(0).random((80, 80)))
+        write_image(tmp_path / name, np.random.default_rng(0).random((100, 100)))
     plan = planned(TINY, ["pmp"], folder=tmp_path)
     assert [cell.name[:3] for cell in plan.cells] == [("pmp", "Blurry1", "1"), ("pmp", "Blurry1", "2")]
     assert all(cell.arguments["sharp"] is None for cell in plan.cells)

@@ -33,6 +33,7 @@ TINY = CodedProtocol(
     name="tiny", photos=1, motions=2, crop_px=96, borders="symmetric", shakes="mixed", chips=16, open_range=(6, 10),
     objective="noise", photons=(), design_photons=1e4, bits=12, read_noise_e=0.0, restoration="inverse",
     border_rounds=10, restored_by="psf", steps=2000, seed=0, quick_photos=1, quick_motions=1, quick_steps=1000,
+    quick_photons=(),
 )  # fmt: skip
 CLEAN = Camera(photons_full_scale=1e9, read_noise_e=0.0, bits=16).to_dict()
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11], [7, 16]])
@@ -66,6 +67,8 @@ def test_the_papers_protocol_is_the_papers():
     assert paper.calibration_camera == paper.camera(None)
     assert paper.camera(None).noise_variance(0.5) == pytest.approx((1 / 255) ** 2 / 12, rel=1e-3)
     assert paper.quick == replace(paper, photos=2, motions=2, steps=paper.quick_steps)
+    ours = coded_protocol("ours")
+    assert (ours.quick.photons, paper.quick.photons) == ((1000.0, 10000.0), ())
 
 
 def test_ours_has_five_light_levels_and_hides_the_motion():
@@ -116,6 +119,7 @@ def test_a_protocol_of_ones_own_is_a_file(tmp_path):
         ({"photons": 300.0}, "photons: must be a list of light levels"),
         ({"photons": ["bright"]}, "photons: must be a list of light levels"),
         ({"photons": [9, 9.0]}, "photons: every level must come once"),
+        ({"quick_photons": [-1.0]}, "quick_photons: must be a list of light levels"),
         ({"design_photons": "bright"}, "design_photons: must be a number"),
         ({"read_noise_e": -1}, "read_noise_e: must be a number within 0..10000"),
         ({"codes": 3}, "field 'codes' is unknown"),

@@ -200,6 +200,13 @@ def test_a_scheduler_without_workers(cluster, tmp_path, monkeypatch):
         run_cells(cells(tmp_path / "log"), cache=tmp_path / "cache", dask=cluster.address)
 
 
+def test_workers_without_the_program_are_told(cluster, tmp_path):
+    cluster._environment = {**os.environ, "PYTHONPATH": str(ROOT)}  # without the folder of the tests
+    cluster.add_workers(1)
+    with pytest.raises(ValueError, match=f"the workers at {cluster.address} lack this program .*bench_work"):
+        run_cells(cells(tmp_path / "log"), cache=tmp_path / "cache", dask=cluster.address)
+
+
 def test_without_dask_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ValueError, match=r"pip install 'coded-exposure\[cluster\]'"):

@@ -46,9 +46,22 @@ def test_only_the_sharp_half_of_gopro_and_rsblur_is_taken(tmp_path):
     assert photo_folder(rsblur) == (rsblur / "0001/000002/gt/gt_sharp.png",)
 
 
+def test_gopros_layout_as_it_is_spread(tmp_path):
+    """GOPRO_Large: train and test, two kinds of blur beside the sharp frames of every film."""
+    for number, place in enumerate(("train/GOPR0372_07_00", "train/GOPR0372_07_01", "test/GOPR0384_11_00")):
+        for half in ("blur", "blur_gamma", "sharp"):
+            photo(tmp_path / place / half / "000047.png", blurred=half != "sharp", seed=number)
+    root = tmp_path
+    assert layout_of(root) == layout_of(root / "test") == "gopro"
+    assert [path.parent.parent.name for path in photo_folder(root)] == [
+        "GOPR0384_11_00", "GOPR0372_07_00", "GOPR0372_07_01",
+    ]  # fmt: skip
+    assert photo_folder(root / "test") == (root / "test/GOPR0384_11_00/sharp/000047.png",)
+
+
 def test_the_layouts_of_published_blurs_are_told_by_content(tmp_path):
     (tmp_path / "one").mkdir()
-    (tmp_path / "one" / "im01_ker01.mat").write_bytes(b"")
+    (tmp_path / "one" / "im05_flit01.mat").write_bytes(b"")
     photo(tmp_path / "two" / "Blurry1_1.png")
     assert layout_of(tmp_path / "one") == "levin"
     assert layout_of(tmp_path / "two") == "koehler"
@@ -88,6 +101,18 @@ def an_unpaired_photo(root):
     return root, "000002.png is in only one of blur and sharp"
 
 
+def another_size(root):
+    gopro(root)
+    photo(root / "GOPR01" / "blur" / "000001.png", side=(40, 48), blurred=True, seed=1)
+    return root, "GOPR01: blur/000001.png has 48 x 40 px, sharp/000001.png 50 x 40 px; they must be pairs"
+
+
+def an_extra_photo(root):
+    gopro(root)
+    photo(root / "GOPR01" / "sharp" / "000003.png")
+    return root, "GOPR01: 000003.png is in only one of blur and sharp"
+
+
 def the_blurred_half(root):
     photo(root / "blur" / "1.png")
     return root / "blur", "blurred half"
@@ -108,8 +133,8 @@ def rsblur_without_sharp(root):
     return root, "gt/gt_sharp.png"
 
 
-REFUSED = (no_such, a_file, empty, levin, koehler, no_sharp_half, an_unpaired_photo, the_blurred_half, swapped_halves,
-           empty_halves, rsblur_without_sharp)  # fmt: skip
+REFUSED = (no_such, a_file, empty, levin, koehler, no_sharp_half, an_unpaired_photo, an_extra_photo, another_size,
+           the_blurred_half, swapped_halves, empty_halves, rsblur_without_sharp)  # fmt: skip
 
 
 @pytest.mark.parametrize("made", REFUSED)

@@ -196,7 +196,7 @@ def test_a_photo_without_texture_is_refused_before_the_network_is_loaded(cep, wo
 
 
 def test_the_command_runs_a_network(cep, workplace, small_weights, monkeypatch):
-    monkeypatch.setattr("motdiff.estimators.blind.trace_psf_to_trajectory", lambda psf: BENT)  # noise is long to trace
+    monkeypatch.setattr("motdiff.estimators.blind.simplest_trajectory", lambda psf: BENT)  # noise is long to trace
     found = cep.succeeds("calibrate", "blurred.png", "--quick", "--samples", "1", "-o", "motion")
     assert found["method"] == "motdiff"
     assert found["details"]["samples"] == 1

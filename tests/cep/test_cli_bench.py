@@ -1,17 +1,25 @@
 """``cep bench codes``: the comparison, its files, and its refusals."""
 
+import csv
+import json
 from pathlib import Path
 
 import pytest
 
-from cep.bench.codes import code_rows
+from cep.bench.codes import code_cells, code_rows
 from cep.code import ShutterCode
 
 
-def test_codes_are_compared_at_equal_light(cep, workplace):
-    found = cep.succeeds("bench", "codes", "bdinr-8", "barker-13", "--time", "0.3", "-o", "codes.md")
+def untouchable(*_arguments, **_options):
+    pytest.fail("a finished search was made again")
+
+
+def test_codes_are_compared_at_equal_light_and_found_again(cep, workplace, monkeypatch):
+    names = ("bdinr-8", "barker-13")
+    command = ("bench", "codes", *names, "--time", "0.3", "--workers", "1", "-o", "codes")
+    found = cep.succeeds(*command)
     rows = {row["name"]: row for row in found["tables"]["codes"]}
-    assert set(rows) == {"bdinr-8", "barker-13"}
+    assert set(rows) == set(names)
     for row in rows.values():
         assert len(row["bits"]) == row["chips"]
         assert row["bits"].count("1") == row["open"]
@@ -19,27 +27,78 @@ def test_codes_are_compared_at_equal_light(cep, workplace):
     assert rows["bdinr-8"]["min_chip"]["published"] == pytest.approx(0.9128, abs=1e-4)
     assert rows["bdinr-8"]["min_chip"]["ours"] <= 0.9128 + 1e-4
     assert not rows["bdinr-8"]["better"]
-    lines = Path("codes.md").read_text().splitlines()
-    assert len(lines) == 4
-    assert all(line.count(" | ") == 6 for line in lines)
+    assert [Path(file).name for file in found["files"]] == ["codes.md", "codes.csv", "codes.json"]
+    text = Path("codes/codes.md").read_text()
+    assert text.count("| bdinr-8 |") == text.count("| barker-13 |") == 1
+    assert "`cep bench codes bdinr-8 barker-13 --time 0.3`" in text
+    kept = json.loads(Path("codes/codes.json").read_text())
+    assert kept["codes"] == found["tables"]["codes"]
+    assert kept["machines"][0]["versions"]["numpy"]
+    with open("codes/codes.csv", newline="", encoding="utf-8") as stream:
+        assert [line["our_bits"] for line in csv.DictReader(stream)] == [row["bits"] for row in rows.values()]
+
+    assert "exists already" in cep.refuses(*command)
+    monkeypatch.setattr("cep.bench.engine.worked", untouchable)
+    assert cep.succeeds(*command, "--force")["tables"] == found["tables"]
+    # what one code gives does not depend on which others are asked for
+    alone = cep.succeeds("bench", "codes", "barker-13", "--time", "0.3", "--cache", "codes/cells", "-o", "alone")
+    assert alone["tables"]["codes"] == [rows["barker-13"]]
 
 
-def test_interrupted_it_keeps_the_rows():
-    seen = []
+def test_people_see_the_comparison(cep, workplace):
+    cep("bench", "codes", "bdinr-8", "--time", "0.1", "-o", "codes")
+    assert cep.code == 0, cep.err
+    assert "better on both: 0 of 1" in cep.out
+    assert "codes: codes.md, codes.csv, codes.json" in cep.out
 
-    def progress(_fraction, name):
-        seen.append(name)
-        if name == "second":
+
+def test_interrupted_it_keeps_the_rows(monkeypatch):
+    real = code_rows.__globals__["anneal"]
+
+    def stopping(problem, **options):
+        if problem.chips == 10:
+            raise KeyboardInterrupt
+        return real(problem, **options)
+
+    monkeypatch.setattr("cep.bench.codes.anneal", stopping)
+    codes = [("first", ShutterCode("110100101")), ("second", ShutterCode("1101001011"))]
+    assert [row.name for row in code_rows(codes, time_s=0.2)] == ["first"]
+
+
+def test_half_a_search_is_not_kept(cep, workplace, monkeypatch):
+    real = code_rows.__globals__["anneal"]
+
+    def interrupted(problem, **options):
+        def stop(_fraction, _best):
             raise KeyboardInterrupt
 
-    codes = [("first", ShutterCode("110100101")), ("second", ShutterCode("1101001011"))]
-    rows = code_rows(codes, time_s=0.2, progress=progress)
-    assert [row.name for row in rows] == ["first"]
+        return real(problem, **options, progress=stop)
+
+    command = ("bench", "codes", "bdinr-8", "--time", "0.1", "-o", "codes")
+    monkeypatch.setattr("cep.bench.codes.anneal", interrupted)
+    found = cep.succeeds(*command)
+    assert (found["missing"], found["tables"]) == (1, {"codes": []})
+    assert any("--force goes on" in warning for warning in found["warnings"])
+    assert list(Path("codes/cells").iterdir()) == []
+    monkeypatch.setattr("cep.bench.codes.anneal", real)
+    assert len(cep.succeeds(*command, "--force")["tables"]["codes"]) == 1
+
+
+def test_another_budget_is_another_cell():
+    code = [("a", ShutterCode("1101"))]
+    ((one,), (other,)) = (code_cells(code, time_s=time_s, seed=0) for time_s in (1.0, 2.0))
+    assert one.version == other.version
+    assert one.arguments != other.arguments
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [(("nothing-7",), "nothing-7"), (("bdinr-8", "--time", "0"), "--time"), (("bdinr-8", "-o", "no/where.md"), "no")],
+    [
+        (("nothing-7",), "nothing-7"),
+        (("bdinr-8", "--time", "0"), "--time"),
+        (("bdinr-8", "-o", "sharp.png"), "sharp.png: is a file, a folder name is needed"),
+        (("bdinr-8", "--cache", "sharp.png"), "sharp.png: is a file"),
+    ],
 )
 def test_refusals(cep, workplace, options, message):
     assert message in cep.refuses("bench", "codes", *options)

@@ -85,7 +85,7 @@ def test_a_real_estimator_from_photos_to_every_output(cep, studio):
     assert limits["true-kernel"]["psnr_db"]["mean"] > table["delta"]["psnr_db"]["mean"]
     assert (found["failures"], found["missing"]) == ({}, 0)
     assert [Path(file).name for file in found["files"]] == [
-        "blind-cells.csv", "blind.csv", "blind.json", "blind.md", "blind.png",
+        "blind-cells.csv", "blind.csv", "blind.json", "blind.md", "blind.pdf", "blind.png",
     ]  # fmt: skip
     with open("out/blind-cells.csv", newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
@@ -183,6 +183,15 @@ def test_people_see_a_table_and_where_the_files_are(cep, studio, guesses):
     assert "sub-pixel MNC" in cep.out
     assert "mean-kernel" in cep.out
     assert "out: blind-cells.csv" in cep.out
+
+
+def test_speed_leaves_no_figure_and_an_older_one_goes(cep, studio, guesses):
+    Path("out").mkdir()
+    for name in ("speed.pdf", "speed.png"):
+        Path("out", name).write_text("older")
+    assert "exists already" in cep.refuses(*SPEED, "--quick", "-o", "out")
+    cep.succeeds(*SPEED, "--quick", "-o", "out", "--force")
+    assert {path.suffix for path in Path("out").glob("speed.*")} == {".md", ".csv", ".json"}
 
 
 def swapped(_studio):

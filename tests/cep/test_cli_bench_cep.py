@@ -23,11 +23,13 @@ chips = 16
 open_range = [6, 10]
 objective = "mse"
 photons = [300.0, 10000.0]
+quick_photons = []
 design_photons = 10000.0
 bits = 12
 read_noise_e = 5.0
 restoration = "wiener"
-knows_psf = true
+border_rounds = 10
+restored_by = "psf"
 steps = 1000
 seed = 0
 quick_photos = 1
@@ -70,7 +72,7 @@ def test_from_photos_to_every_output_and_found_again(cep, studio, monkeypatch):
         "tiny", ["open", "dnf", "oracle"], {}, 0,
     )  # fmt: skip
     assert found["warnings"] == ["2 photos are large enough, the protocol asks for 3"]
-    names = ["cep-photos.csv", "cep.csv", "cep.json", "cep.md", "cep.png"]
+    names = ["cep-photos.csv", "cep.csv", "cep.json", "cep.md", "cep.pdf", "cep.png"]
     assert [Path(file).name for file in found["files"]] == names
     with open("out/cep-photos.csv", newline="", encoding="utf-8") as stream:
         shots = list(csv.DictReader(stream))

@@ -6,7 +6,7 @@ from scipy import special
 
 from motdiff.estimators.motdiff.judgement import FEATURES, features, probabilities
 from motdiff.estimators.pmp.score import Judge, kernel_features, noise_sigma, phase_evidence, spectral_fit
-from motdiff.metrics import mnc_subpixel
+from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
@@ -66,7 +66,7 @@ def test_agreement_by_hand():
     down[4, 7], down[11, 7] = 0.5, 0.5
     kernels = [point, across, down, point, across]  # two samples, two classical ones, another
     evidence = np.arange(15.0).reshape(5, 3)
-    table = features(evidence, kernels, samples=2, classical=2)
+    table = features(evidence, mnc_matrix(kernels), samples=2, classical=2)
     assert table.shape == (5, len(FEATURES)) == (5, 5)
     np.testing.assert_array_equal(table[:, :3], evidence)
     r = np.sqrt(1 / 2)
@@ -77,7 +77,7 @@ def test_agreement_by_hand():
 
 def test_without_others_there_is_no_agreement():
     kernels = [STRAIGHT.psf(31), bent().psf(31)]
-    one_sample = features(np.zeros((2, 3)), kernels, samples=1, classical=0)
+    one_sample = features(np.zeros((2, 3)), mnc_matrix(kernels), samples=1, classical=0)
     assert one_sample[0, 3:].tolist() == [0, 0]
     assert one_sample[1, 3] == pytest.approx(mnc_subpixel(*kernels), abs=0.03)
     assert one_sample[1, 4] == 0
@@ -105,7 +105,7 @@ def test_the_photo_believes_the_truth_and_not_what_is_lost(crops):
     truth, lost = bent().psf(63), STRAIGHT.psf(63).T
     blob = np.exp(-0.5 * (np.mgrid[-31:32, -31:32] ** 2).sum(axis=0) / 16)
     kernels = [truth, truth[::-1, ::-1], lost, blob / blob.sum()]
-    believed = probabilities(features(Judge(crops).evidence(kernels), kernels, samples=4, classical=0))
+    believed = probabilities(features(Judge(crops).evidence(kernels), mnc_matrix(kernels), samples=4, classical=0))
     assert believed.argmax() == 0
     assert believed[0] > 0.7
     assert believed[2:].max() < 0.4

@@ -16,7 +16,7 @@ from motdiff.estimators.pmp.estimator import STARTS, Start
 from motdiff.estimators.pmp.score import noise_sigma
 from motdiff.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.grids import mirrored
-from motdiff.metrics import mnc_subpixel
+from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network import NetworkConfig
 from motdiff.sampling import psfs_of_maps
 from motdiff.simulate import blur_valid
@@ -149,7 +149,7 @@ def no_search(monkeypatch):
 def no_tracing(monkeypatch):
     """What a network that was never trained draws is no path, and long to trace."""
     for place in ("motdiff.estimators.blind", "motdiff.tracing"):
-        monkeypatch.setattr(f"{place}.trace_psf_to_trajectory", lambda psf: STRAIGHT)
+        monkeypatch.setattr(f"{place}.simplest_trajectory", lambda psf: STRAIGHT)
 
 
 # ---- drawing
@@ -319,12 +319,12 @@ def test_only_distinct_candidates_are_refined():
     straight, longer, upright = (
         Trajectory.straight(length, angle_rad=angle).psf(63) for length, angle in ((12, 0), (13, 0), (12, 1.5))
     )
-    kernels = [straight, longer, upright, straight, np.eye(63) / 63]
+    alike = mnc_matrix([straight, longer, upright, straight, np.eye(63) / 63])
     order = np.array([3, 1, 2, 0, 4])
-    assert module._distinct(kernels, [3], order, most=3) == [3, 2, 4]
-    assert module._distinct(kernels, [3], order, most=2) == [3, 2]
-    assert module._distinct(kernels, [4, 0], order, most=4) == [4, 0, 2]
-    assert module._distinct(kernels, [0, 1], order, most=4) == [0, 1, 2, 4]  # the first ones even if they are alike
+    assert module._distinct(alike, [3], order, most=3) == [3, 2, 4]
+    assert module._distinct(alike, [3], order, most=2) == [3, 2]
+    assert module._distinct(alike, [4, 0], order, most=4) == [4, 0, 2]
+    assert module._distinct(alike, [0, 1], order, most=4) == [0, 1, 2, 4]  # the first ones even if they are alike
 
 
 # ---- the network and the classical searches

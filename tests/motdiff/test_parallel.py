@@ -11,8 +11,9 @@ from motdiff.parallel import side_by_side
 
 
 @pytest.fixture(autouse=True)
-def three_threads():
-    """A number that no job leaves behind by chance."""
+def three_threads(monkeypatch):
+    """A number that no job leaves behind by chance; and an environment that limits nothing."""
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     threads = torch.get_num_threads()
     torch.set_num_threads(3)
     yield
@@ -30,9 +31,17 @@ def test_results_come_in_the_order_of_the_jobs_not_of_their_ends(monkeypatch):
     assert side_by_side(jobs) == ["first", "second"]
 
 
-@pytest.mark.parametrize(("count", "jobs", "expected"), [(1, 4, 1), (3, 6, 3), (8, 2, 2), (None, 3, 1)])
-def test_as_many_run_at_a_time_as_there_are_cores(monkeypatch, count, jobs, expected):
+@pytest.mark.parametrize(
+    ("count", "limit", "jobs", "expected"),
+    [
+        *[(1, None, 4, 1), (3, None, 6, 3), (8, None, 2, 2), (None, None, 3, 1)],
+        *[(8, "1", 4, 1), (8, "2", 6, 2), (2, "8", 4, 2), (3, "0", 4, 1), (3, "no number", 6, 3)],
+    ],
+)
+def test_as_many_run_at_a_time_as_there_are_cores_and_the_environment_allows(monkeypatch, count, limit, jobs, expected):
     cores(monkeypatch, count)
+    if limit is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", limit)
     lock, running, most = threading.Lock(), 0, 0
     together = threading.Barrier(expected)
 

@@ -178,6 +178,35 @@ def test_latent_of_a_point_kernel_is_the_photo_where_every_edge_is_strong():
     assert float((same - photo).abs().max()) < 0.03
 
 
+@pytest.mark.parametrize("shape", [(2, 24, 30), (1, 7, 9)])
+def test_divergence_of_the_strong_gradients_is_that_of_rolled_photos(shape):
+    photos = torch.rand(shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    gx, gy = photos.roll(-1, -1) - photos, photos.roll(-1, -2) - photos
+    strong = gx**2 + gy**2 >= 0.3
+    assert 0.2 < strong.double().mean() < 0.8
+    gx, gy = gx * strong, gy * strong
+    expected = gx.roll(1, -1) - gx + gy.roll(1, -2) - gy
+    torch.testing.assert_close(latent._salient_divergence(photos, 0.3), expected)
+
+
+@pytest.mark.parametrize("soft", [True, False])
+def test_only_the_darkest_pixel_of_each_patch_is_shrunk(soft):
+    photos = torch.rand((2, 14, 20), generator=torch.Generator().manual_seed(0), dtype=torch.float64) - 0.1
+    photos *= torch.tensor([1.0, 0.1])[:, None, None]  # thresholds differ
+    expected = photos.clone()
+    for photo in expected:
+        patches = [photo[row : row + 6, column : column + 6] for row in (0, 6, 12) for column in (0, 6, 12, 18)]
+        level = np.clip(np.mean([abs(patch.min()) for patch in patches]), 0.02, 0.1)
+        for patch in patches:
+            darkest = patch.min()
+            if soft:
+                patch[patch == darkest] = torch.sign(darkest) * max(darkest - 0.02, 0)
+            elif abs(darkest) < level:
+                patch[patch == darkest] = 0
+    assert not torch.equal(expected, photos)
+    torch.testing.assert_close(latent._shrink_minimal_pixels(photos, 0.02, 6, soft=soft), expected)
+
+
 def test_noise_is_measured_on_a_blurred_photo(scene):
     rng = np.random.default_rng(8)
     blurred = blur_valid(scene, curved(25))

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.blind.protocol import Protocol
-from cep.bench.photos import crop, layout_of
+from cep.bench.pairs import koehler_pairs, rsblur_pairs
+from cep.bench.photos import crop, layout_of, pick
 from cep.images import read_image
-from motdiff.evaluation.sets import Case
+from motdiff.evaluation.sets import Case, levin_photo
 from motdiff.simulate import add_noise, blur_symmetric, blur_valid, valid_window
 from motdiff.trajectory import Trajectory
 
-__all__ = ["RealPhoto", "Shot", "labels_of", "real_pair", "real_photos", "shot_of", "taken"]
+__all__ = ["RealPhoto", "Shot", "check_real", "labels_of", "real_pair", "real_photos", "shot_of", "taken"]
 
 FloatArray = NDArray[np.float64]
 
@@ -117,19 +118,36 @@ class RealPhoto:
 def real_photos(folder: Path | str, count: int) -> tuple[RealPhoto, ...]:
     """List photos with real blur, at most ``count`` of them, evenly chosen; empty where the folder has another layout.
 
-    Levin's come with sharp photos and kernels, RSBlur's with sharp photos; Koehler's, as they are spread with PMP, with
-    nothing.
+    Levin's come with sharp photos and kernels, RSBlur's with sharp photos, Koehler's with sharp frames or, as they are
+    spread with PMP, with nothing.
 
     Raises
     ------
     ValueError
-        If there is no such folder, or one of RSBlur's halves is missing.
+        If there is no such folder, or only some photos have a sharp one.
     """
     root, layout = Path(folder), layout_of(folder)
     found = _LISTED[layout](root) if layout in _LISTED else []
     number = min(count, len(found))
     # from the first to the last: four of Levin's sixteen are then four scenes with four shakes
     return tuple(found[i * (len(found) - 1) // max(number - 1, 1)] for i in range(number))
+
+
+def check_real(photos: Sequence[RealPhoto], crop_px: int) -> None:
+    """Check real photos before any work is done on them.
+
+    Raises
+    ------
+    ValueError
+        If a file is no photo or too small, or a photo and its sharp one differ in size; the line names the file.
+    """
+    for photo in photos:
+        if photo.blurred.suffix == ".mat":
+            levin_photo(photo.blurred)
+            continue
+        pick([photo.blurred], 1, least_px=crop_px)
+        if photo.sharp is not None:
+            _check_sizes(photo.blurred, photo.sharp)
 
 
 def real_pair(
@@ -145,9 +163,7 @@ def real_pair(
     blurred = crop(photo.blurred, crop_px, np.random.default_rng(crop_seed), gamma=gamma)
     if photo.sharp is None:
         return blurred, None
-    shapes = [read_image(path).shape for path in (photo.blurred, photo.sharp)]
-    if shapes[0] != shapes[1]:
-        raise ValueError(f"{photo.blurred}: has the shape {shapes[0]}, its sharp photo {shapes[1]}; they must be pairs")
+    _check_sizes(photo.blurred, photo.sharp)
     return blurred, crop(photo.sharp, crop_px, np.random.default_rng(crop_seed), gamma=gamma)
 
 
@@ -157,17 +173,19 @@ def _levin(root: Path) -> list[RealPhoto]:
 
 
 def _koehler(root: Path) -> list[RealPhoto]:
-    paths = sorted(root.glob("Blurry*_*.png"))
-    return [RealPhoto(path.stem.partition("_")[0], path.stem.partition("_")[2], path) for path in paths]
+    pairs = [(path.stem.partition("_"), path, sharp) for path, sharp in koehler_pairs(root)]
+    return [RealPhoto(scene, shake, path, sharp) for (scene, _, shake), path, sharp in pairs]
 
 
 def _rsblur(root: Path) -> list[RealPhoto]:
-    blurred = {path.parent.parent: path for path in root.rglob("real_blur/real_blur.png")}
-    sharp = {path.parent.parent: path for path in root.rglob("gt/gt_sharp.png")}
-    if odd := sorted(blurred.keys() ^ sharp.keys()):
-        missing = "gt/gt_sharp.png" if odd[0] in blurred else "real_blur/real_blur.png"
-        raise ValueError(f"{odd[0]}: lacks {missing}; RSBlur's photos must be pairs")
-    return [RealPhoto(at.parent.name or "scene", at.name, blurred[at], sharp[at]) for at in sorted(blurred)]
+    places = [(blurred.absolute().parts, blurred, sharp) for blurred, sharp in rsblur_pairs(root)]
+    return [RealPhoto(parts[-4], parts[-3], blurred, sharp) for parts, blurred, sharp in places]
+
+
+def _check_sizes(blurred: Path, sharp: Path) -> None:
+    shapes = [read_image(path).shape for path in (blurred, sharp)]
+    if shapes[0] != shapes[1]:
+        raise ValueError(f"{blurred}: has the shape {shapes[0]}, its sharp photo {shapes[1]}; they must be pairs")
 
 
 _LISTED = {"levin": _levin, "koehler": _koehler, "rsblur": _rsblur}

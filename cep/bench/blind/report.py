@@ -10,17 +10,18 @@ from cep.bench.blind.picture import blind_figure, shown
 from cep.bench.blind.run import Plan
 from cep.bench.blind.tables import cells_csv
 from cep.bench.engine import Outcome
+from cep.bench.figures import FIGURE_SUFFIXES, write_figure
 from cep.bench.layout import tables_csv, tables_json, tables_markdown
 from cep.bench.tables import Table
 from cep.outputs import new_folder
-from cep.plots.canvas import save
 
 __all__ = ["outputs", "write_report"]
 
 
 def outputs(name: str) -> tuple[str, ...]:
     """Files of the table ``name``."""
-    return (f"{name}.md", f"{name}.csv", f"{name}.json", f"{name}-cells.csv", f"{name}.png")
+    figures = (f"{name}{suffix}" for suffix in FIGURE_SUFFIXES)
+    return (f"{name}.md", f"{name}.csv", f"{name}.json", f"{name}-cells.csv", *figures)
 
 
 def write_report(
@@ -36,7 +37,7 @@ def write_report(
     unmeasured: Mapping[str, str] | None = None,
     force: bool = False,
 ) -> dict[str, Path]:
-    """Write NAME.md, .csv, .json and NAME-cells.csv, and NAME.png where methods are pictured; all or nothing.
+    """Write NAME.md, .csv, .json and NAME-cells.csv, and NAME.png and .pdf where methods are pictured; all or nothing.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def write_report(
         absent = {**(unmeasured or {}), **_failed(outcome)}
         text += "".join(f"\n{method} is not measured: {reason}.\n" for method, reason in absent.items())
         if lines:
-            save(blind_figure(lines, pictured), made / f"{name}.png")
+            write_figure(blind_figure(lines, pictured), made, name)
             text += f"\n![photos, kernels and what each method restores]({name}.png)\n"
         machines = outcome.machines
         texts = {

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cep.bench.blind.cases import RealPhoto, labels_of, real_photos, shot_of
+from cep.bench.blind.cases import RealPhoto, check_real, labels_of, real_photos, shot_of
 from cep.bench.blind.methods import label_of, version_of
 from cep.bench.blind.protocol import Protocol
 from cep.bench.blind.shakes import drawn_shakes
@@ -23,7 +23,7 @@ _BLIND = ("delta", "gaussian")
 _REAL: dict[Layout, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
     "levin": ("Levin's real shakes", _BLIND, ("true-kernel",)),
     "rsblur": ("RSBlur's real photos", _BLIND, ()),
-    "koehler": ("Koehler's real shakes", (), ()),  # nothing could be said of a kernel without a photo to look at
+    "koehler": ("Koehler's real shakes", _BLIND, ()),
 }
 """Name of the table, floors, and ceilings, by layout."""
 
@@ -73,6 +73,9 @@ def planned(
     if folder is not None and (photos := real_photos(folder, protocol.real_photos)):
         layout = layout_of(folder)
         light, floors, ceilings = _REAL[layout]
+        check_real(photos, protocol.crop_px)
+        if layout != "levin" and photos[0].sharp is None:
+            floors = ()  # nothing could be said of a kernel without a photo to look at
         versions = {method: version_of(method) for method in (*floors, *methods, *ceilings)}
         cells = [
             _real_cell(protocol, layout, photo, method, versions[method]) for photo in photos for method in versions

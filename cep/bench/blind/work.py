@@ -23,7 +23,7 @@ from motdiff.evaluation.floors import floors, path_kernel, quadratic_kernel
 from motdiff.evaluation.measure import FIGURES, Measured, measure_estimator, measure_psf, restored
 from motdiff.evaluation.methods import named_estimators
 from motdiff.evaluation.sets import Case, levin_photo
-from motdiff.metrics import psnr_up_to_shift, ssim_up_to_shift
+from motdiff.metrics import psnr_ssim_up_to_shift
 from motdiff.trajectory import Trajectory
 
 __all__ = ["CEILINGS", "FLOORS", "measure_levin", "measure_real", "measure_simulated", "psf_from_text", "psf_to_text"]
@@ -101,8 +101,8 @@ def measure_real(
         figures |= dict.fromkeys(("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim"))
         if target is not None:
             image, grey = restored(luminance(photo), psf_from_text(str(figures["psf"]))), luminance(target)
-            figures["psnr_db"] = psnr_up_to_shift(image, grey, max_shift_px=_FARTHEST_PX)
-            figures["ssim"] = ssim_up_to_shift(image, grey, max_shift_px=_FARTHEST_PX)
+            psnr_db, ssim = psnr_ssim_up_to_shift(image, grey, max_shift_px=_FARTHEST_PX)
+            figures |= {"psnr_db": psnr_db, "ssim": ssim}
     return figures
 
 

@@ -1,4 +1,4 @@
-"""Coded photos to look at, in the paper's layout: coded photo with its code and PSF, restored photo, MTF."""
+"""Coded photos to look at, in the paper's layout: photo, coded photo with its code and PSF, restored photo, MTF."""
 
 from __future__ import annotations
 
@@ -9,62 +9,76 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.coded.designs import DESIGNS
-from cep.bench.coded.stages import paths_from, photographed
+from cep.bench.coded.stages import PSF_PX, paths_from, photographed
 from cep.code import ShutterCode
 from cep.plots.canvas import new_figure, show_photo
 from cep.plots.codes import mtf_curve
 from motdiff.simulate import to_linear
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["coded_figure"]
+
+FloatArray = NDArray[np.float64]
 
 _TILE_IN = 1.9
 _INSET = 0.3
 
 
 def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str, str], *, linear: bool) -> Figure:
-    """Draw one photo and motion, a column per design.
+    """Draw one photo and motion: the sharp photo with the motion's PSF, then a column per design.
 
     Parameters
     ----------
-    pictured : mapping from design to the arguments of :func:`cep.bench.coded.stages.photographed`
+    pictured : mapping from design to the arguments of :func:`cep.bench.coded.stages.photographed`, at least one
     scores : mapping from design to what is written below its restored photo
     linear : bool
         Whether the photo is light, or code values that are shown as they are.
     """
     names: Sequence[str] = tuple(pictured)
-    figure = new_figure(_TILE_IN * len(names) + 0.4, 3 * _TILE_IN + 0.9)
-    axes = np.atleast_2d(figure.subplots(3, len(names), squeeze=False))
-    for column, name in enumerate(names):
+    figure = new_figure(_TILE_IN * (len(names) + 1) + 0.4, 3 * _TILE_IN + 0.9)
+    axes = np.atleast_2d(figure.subplots(3, len(names) + 1, squeeze=False))
+    for empty in axes[1:, 0]:
+        empty.set_axis_off()
+    for column, name in enumerate(names, 1):
         arguments = pictured[name]
         taken, code = photographed(**arguments), ShutterCode(arguments["bits"])
         motion = paths_from(arguments["motion"])[0][0]
-        for row, image in ((0, taken.photo / max(code.duty, 1e-3) if arguments["light_true"] else taken.photo),
-                           (1, taken.restored)):  # fmt: skip
-            light = np.clip(image, 0, 1)
-            show_photo(axes[row, column], light if linear else to_linear(light))
+        if column == 1:  # every design has the same photo and motion
+            _show(axes[0, 0], taken.target, linear=linear)
+            axes[0, 0].set_title("photo, and PSF without a code", fontsize=7, pad=14)
+            _inset(axes[0, 0], motion.psf(PSF_PX))
+        light_true = taken.photo / max(code.duty, 1e-3) if arguments["light_true"] else taken.photo
+        _show(axes[0, column], light_true, linear=linear)
+        _show(axes[1, column], taken.restored, linear=linear)
         axes[0, column].set_title(DESIGNS[name].label.replace(" (", "\n("), fontsize=7, pad=14)
         strip = axes[0, column].inset_axes([0, 1.02, 1, 0.05])
         strip.imshow(code.array[None, :], cmap="gray", aspect="auto", vmin=0, vmax=1, interpolation="nearest")
-        inset = axes[0, column].inset_axes([0, 1 - _INSET, _INSET, _INSET])
-        inset.imshow(_root(taken.psf), cmap="inferno", interpolation="nearest")
-        for small in (strip, inset):
-            small.set_xticks([])
-            small.set_yticks([])
+        strip.set_xticks([])
+        strip.set_yticks([])
+        _inset(axes[0, column], taken.psf)
         axes[1, column].set_xlabel(scores.get(name, ""), fontsize=7)
         frequency, modulus = mtf_curve(motion, code)
         axes[2, column].plot(frequency, modulus / code.duty, linewidth=0.9)
         axes[2, column].set_ylim(0, 1.02)
         axes[2, column].tick_params(labelsize=6)
         axes[2, column].set_xlabel("cycles/px along the motion", fontsize=6)
-        if column:
+        if column > 1:
             axes[2, column].set_yticklabels([])
-    axes[2, 0].set_ylabel("MTF / duty", fontsize=7)
+    axes[2, 1].set_ylabel("MTF / duty", fontsize=7)
     return figure
 
 
-def _root(psf: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Show faint parts too."""
-    return np.asarray(np.sqrt(psf / max(float(psf.max()), 1e-12)), dtype=np.float64)
+def _show(axes: Axes, image: FloatArray, *, linear: bool) -> None:
+    light = np.clip(image, 0, 1)
+    show_photo(axes, light if linear else to_linear(light))
+
+
+def _inset(axes: Axes, psf: FloatArray) -> None:
+    """Draw a PSF in the upper left corner, by the square root that shows faint parts."""
+    corner = axes.inset_axes((0, 1 - _INSET, _INSET, _INSET))
+    corner.imshow(np.sqrt(psf / max(float(psf.max()), 1e-12)), cmap="inferno", interpolation="nearest")
+    corner.set_xticks([])
+    corner.set_yticks([])

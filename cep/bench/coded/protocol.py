@@ -69,7 +69,8 @@ class CodedProtocol:
         Moves of every search.
     seed : int
     quick_photos, quick_motions, quick_steps : int
-        Of ``--quick``.
+    quick_photons : tuple of float
+        Of ``--quick``; the same light levels when there are none.
     """
 
     name: str
@@ -93,6 +94,7 @@ class CodedProtocol:
     quick_photos: int
     quick_motions: int
     quick_steps: int
+    quick_photons: tuple[float, ...]
 
     def __post_init__(self) -> None:
         for name, (least, most) in _WHOLE.items():
@@ -107,21 +109,29 @@ class CodedProtocol:
         pair = self.open_range
         if not (_are(pair, int) and len(pair) == 2 and 1 <= pair[0] <= pair[1] <= self.chips):
             raise ValueError(f"open_range: must be two numbers of chips within 1..{self.chips} in order, got {pair!r}")
-        if not (_are(self.photons, int, float) and all(0 < level <= _MOST_PHOTONS for level in self.photons)):
-            raise ValueError(f"photons: must be a list of light levels above 0, up to 1e9, got {self.photons!r}")
-        if len(set(self.photons)) < len(self.photons):
-            raise ValueError(f"photons: every level must come once, got {self.photons!r}")
+        for name in ("photons", "quick_photons"):
+            levels = getattr(self, name)
+            if not (_are(levels, int, float) and all(0 < level <= _MOST_PHOTONS for level in levels)):
+                raise ValueError(f"{name}: must be a list of light levels above 0, up to 1e9, got {levels!r}")
+            if len(set(levels)) < len(levels):
+                raise ValueError(f"{name}: every level must come once, got {levels!r}")
+            object.__setattr__(self, name, tuple(float(level) for level in levels))
         for name, least_e, most_e in (("design_photons", 1e-3, _MOST_PHOTONS), ("read_noise_e", 0.0, 1e4)):
             value = getattr(self, name)
             if not (_are([value], int, float) and least_e <= value <= most_e):
                 raise ValueError(f"{name}: must be a number within {least_e:g}..{most_e:g}, got {value!r}")
-        object.__setattr__(self, "photons", tuple(float(level) for level in self.photons))
         object.__setattr__(self, "open_range", tuple(self.open_range))
 
     @property
     def quick(self) -> CodedProtocol:
-        """The same with fewer photos, motions and moves."""
-        return replace(self, photos=self.quick_photos, motions=self.quick_motions, steps=self.quick_steps)
+        """The same with fewer photos, motions, moves and light levels."""
+        return replace(
+            self,
+            photos=self.quick_photos,
+            motions=self.quick_motions,
+            steps=self.quick_steps,
+            photons=self.quick_photons or self.photons,
+        )
 
     @property
     def levels(self) -> tuple[float | None, ...]:

@@ -4,20 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cep.bench.coded.picture import coded_figure
 from cep.bench.coded.run import ESTIMATORS, CodedTable
 from cep.bench.coded.tables import harmed, shots_csv
+from cep.bench.figures import FIGURE_SUFFIXES, write_figure
 from cep.bench.layout import tables_csv, tables_json, tables_markdown
 from cep.bench.tables import Table
 from cep.outputs import new_folder
-from cep.plots.canvas import save
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["OUTPUTS", "write_coded_report"]
 
-OUTPUTS = ("cep.md", "cep.csv", "cep.json", "cep-photos.csv", "cep.png")
+OUTPUTS = ("cep.md", "cep.csv", "cep.json", "cep-photos.csv", *(f"cep{suffix}" for suffix in FIGURE_SUFFIXES))
 """Files of the table."""
 
+_RESTORED_BY = {
+    "psf": " with the true coded PSF.",
+    "path": ", which knows the true path but has to find in which direction the camera ran along it.",
+    "estimate": ", which knows the path that the code was made for, but not in which direction the camera ran along it "
+    "(the oracle's: the truth; codes made for none: our estimate).",
+}
 _PICTURED = ("both-ways", "parametric", "dce", "dnf", "snapshot", "open")
 
 
@@ -50,8 +60,8 @@ def write_coded_report(
     with new_folder(folder, OUTPUTS, force=force) as made:
         text = _introduction(measured, command, warnings) + tables_markdown(tables)
         if measured.shots:
-            _draw(measured, made / "cep.png")
-            text += "\n![coded photo with code and PSF, restored photo, MTF](cep.png)\n"
+            write_figure(_figure(measured), made, "cep")
+            text += "\n![photo, coded photo with code and PSF, restored photo, MTF](cep.png)\n"
         texts = {
             "cep.md": text,
             "cep.csv": tables_csv(tables),
@@ -66,7 +76,7 @@ def write_coded_report(
     return {name: folder / name for name in names}
 
 
-def _draw(measured: CodedTable, path: Path) -> None:
+def _figure(measured: CodedTable) -> Figure:
     # after Ctrl-C there may be none at the level that codes are designed for
     taken = dict.fromkeys(shot.photons for shot in measured.shots)
     level = min(taken, key=lambda one: abs((one or 0) - measured.protocol.design_photons))
@@ -74,13 +84,10 @@ def _draw(measured: CodedTable, path: Path) -> None:
     photo, motion = at[0].photo, at[0].motion
     shown = {shot.design: shot for shot in at if (shot.photo, shot.motion) == (photo, motion)}
     picked = {name: shown[name] for name in _PICTURED if name in shown} or shown
-    save(
-        coded_figure(
-            {name: shot.arguments for name, shot in picked.items()},
-            {name: f"{float(shot.figures['psnr_db'] or 0):.2f} dB" for name, shot in picked.items()},
-            linear=bool(measured.protocol.photons),
-        ),
-        path,
+    return coded_figure(
+        {name: shot.arguments for name, shot in picked.items()},
+        {name: f"{float(shot.figures['psnr_db'] or 0):.2f} dB" for name, shot in picked.items()},
+        linear=bool(measured.protocol.photons),
     )
 
 
@@ -98,12 +105,7 @@ def _introduction(measured: CodedTable, command: str, warnings: Sequence[str]) -
         f"Made by `{command}`, protocol `{protocol.name}`, seed {protocol.seed}, on {machines or 'no machine'}.",
         f"{protocol.chips} chips (DCE: 32), {protocol.open_range[0]} to {protocol.open_range[1]} open, searched for "
         f"`{protocol.objective}` with {protocol.steps:,} moves each; restored by `{protocol.restoration}`"
-        + (
-            " with the true coded PSF."
-            if protocol.knows_psf
-            else ", which knows the path that the code was made for, in neither direction (the oracle's: the truth; "
-            "codes made for none: our estimate)."
-        ),
+        + (_RESTORED_BY[protocol.restored_by]),
         "Means, and in brackets their 95 % intervals from a bootstrap; the best is bold only where a paired test tells "
         "it from the next one. PSNR and SSIM up to shift, 32 px of border left out.",
         *(f"\n- {warning}" for warning in warnings),

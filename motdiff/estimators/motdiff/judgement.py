@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
-
-from motdiff.metrics import mnc_matrix
 
 __all__ = ["FEATURES", "features", "probabilities"]
 
@@ -17,18 +13,18 @@ FEATURES = ("spectral_fit", "phase_evidence", "rim_light", "sample_agreement", "
 
 # Fitted on simulated photos of the training set's held-out scenes, see docs/decisions.md
 _WEIGHTS = np.array([0.8, 2.0, -1.0, 0.2, 0.2])
-_SLOPE, _OFFSET = 14.7, -9.5
+_SLOPE, _OFFSET = 12.5, -8.5
 
 
-def features(evidence: FloatArray, kernels: Sequence[FloatArray], *, samples: int, classical: int) -> FloatArray:
-    """Features (N, 5) of N candidate kernels.
+def features(evidence: FloatArray, alike: FloatArray, *, samples: int, classical: int) -> FloatArray:
+    """Features (N, 5) of N candidate kernels: first the samples, then the classical kernels, then others.
 
     Parameters
     ----------
     evidence : (N, 3) float
         From :meth:`motdiff.estimators.pmp.score.Judge.evidence`.
-    kernels : sequence of N (k, k) float
-        First the samples, then the classical kernels, then others.
+    alike : (N, N) float
+        MNC of every pair, see :func:`motdiff.metrics.mnc_matrix`.
     samples, classical : int
         How many there are of the first two.
 
@@ -36,10 +32,8 @@ def features(evidence: FloatArray, kernels: Sequence[FloatArray], *, samples: in
     -------
     (N, 5) float: the evidence, and the mean MNC with the samples and with the classical kernels (without itself).
     """
-    alike = mnc_matrix(kernels)
-    np.fill_diagonal(alike, 0)
-    count = len(kernels)
-    index = np.arange(count)
+    alike = alike * (1 - np.eye(len(alike)))
+    index = np.arange(len(alike))
     among_samples = alike[:, :samples].sum(axis=1) / np.maximum(samples - (index < samples), 1)
     is_classical = (index >= samples) & (index < samples + classical)
     among_classical = alike[:, samples : samples + classical].sum(axis=1) / np.maximum(classical - is_classical, 1)

@@ -78,9 +78,9 @@ def fit_kernel(
         target = right - level[:, None, None].clamp(min=0)
         ahead, momentum = kernel, 1.0
         for _ in range(steps):
-            descended = (ahead - step * (applied(transfer, ahead) - target)).clamp(min=0)
+            descended = (ahead - (applied(transfer, ahead) - target).mul_(step)).clamp_(min=0)
             following = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
-            ahead = descended + (momentum - 1) / following * (descended - kernel)
+            ahead = (descended - kernel).mul_((momentum - 1) / following).add_(descended)
             kernel, momentum = descended, following
         misfit = blurred_energy - (kernel * (2 * right - applied(data, kernel))).sum(dim=(1, 2))
         variance = misfit.clamp(min=0) / (2 * crops * height * width)

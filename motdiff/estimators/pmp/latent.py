@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from motdiff.estimators.pmp.grids import gradient_power, psf_to_otf
 
@@ -64,12 +65,10 @@ def l0_pmp_latent(
         for _ in range(inner):
             if intensity_weight > 0:
                 photo = _shrink_minimal_pixels(photo, intensity_weight, patch_px, soft=coarse)
-            gx = photo.roll(-1, -1) - photo
-            gy = photo.roll(-1, -2) - photo
-            keep = (gx.square() + gy.square() >= gradient_weight / alpha).to(photo.dtype)
-            gx, gy = gx * keep, gy * keep
-            divergence = gx.roll(1, -1) - gx + gy.roll(1, -2) - gy
-            spectrum = (data + alpha * torch.fft.rfft2(divergence)) / (power + alpha * laplacian)
+            divergence = _salient_divergence(photo, gradient_weight / alpha)
+            spectrum = torch.fft.rfft2(divergence).mul_(alpha).add_(data)
+            parts = torch.view_as_real(spectrum)
+            parts *= (power + alpha * laplacian).reciprocal_()[..., None]  # a division takes four times as long
             photo = torch.fft.irfft2(spectrum, s=(height, width))
         alpha *= kappa
     return photo
@@ -118,6 +117,28 @@ def salient_gradients(photo: Tensor, threshold: Tensor) -> tuple[Tensor, Tensor]
     return gx * keep, gy * keep
 
 
+def _salient_divergence(photo: Tensor, threshold: float) -> Tensor:
+    """Divergence of the periodic gradients whose squared size reaches ``threshold``, the others set to 0.
+
+    In place and without truth values, which take torch longer than the arithmetic.
+    """
+    gx, gy = torch.empty_like(photo), torch.empty_like(photo)
+    torch.sub(photo[..., 1:], photo[..., :-1], out=gx[..., :-1])
+    torch.sub(photo[..., 0], photo[..., -1], out=gx[..., -1])
+    torch.sub(photo[..., 1:, :], photo[..., :-1, :], out=gy[..., :-1, :])
+    torch.sub(photo[..., 0, :], photo[..., -1, :], out=gy[..., -1, :])
+    keep = gx.square().add_(gy.square()).ge_(threshold)
+    gx *= keep
+    gy *= keep
+    divergence = gx.neg()
+    divergence[..., 1:] += gx[..., :-1]
+    divergence[..., 0] += gx[..., -1]
+    divergence[..., 1:, :] += gy[..., :-1, :]
+    divergence[..., 0, :] += gy[..., -1, :]
+    divergence -= gy
+    return divergence
+
+
 def _forward_gradients(photo: Tensor) -> tuple[Tensor, Tensor]:
     inner = photo[:, :-1, :-1]
     return photo[:, :-1, 1:] - inner, photo[:, 1:, :-1] - inner
@@ -125,21 +146,11 @@ def _forward_gradients(photo: Tensor) -> tuple[Tensor, Tensor]:
 
 def _shrink_minimal_pixels(photo: Tensor, weight: float, patch_px: int, *, soft: bool) -> Tensor:
     """Shrink the darkest pixel of every patch: softly, or to zero where it is below an adaptive threshold."""
-    batch, height, width = photo.shape
-    rows, columns = -(-height // patch_px), -(-width // patch_px)
-    padded = torch.nn.functional.pad(
-        photo, (0, columns * patch_px - width, 0, rows * patch_px - height), value=float("inf")
-    )
-    patches = padded.view(batch, rows, patch_px, columns, patch_px).permute(0, 1, 3, 2, 4)
-    flat = patches.reshape(batch, rows, columns, patch_px * patch_px)
-    value, where = flat.min(dim=-1)
+    negative, index = functional.max_pool2d(-photo[:, None], patch_px, ceil_mode=True, return_indices=True)
+    value = -negative[:, 0]
     if soft:
         shrunk = torch.sign(value) * (value - weight).clamp(min=0)
     else:
         level = value.abs().mean(dim=(1, 2)).clamp(min=weight, max=_INTENSITY_CAP)[:, None, None]
         shrunk = torch.where(value.abs() < level, torch.zeros_like(value), value)
-    row_index = torch.arange(rows, device=photo.device)[None, :, None] * patch_px + where // patch_px
-    column_index = torch.arange(columns, device=photo.device)[None, None, :] * patch_px + where % patch_px
-    flat_photo = photo.reshape(batch, height * width)
-    index = (row_index * width + column_index).reshape(batch, -1)
-    return flat_photo.scatter(1, index, shrunk.reshape(batch, -1)).view(batch, height, width)
+    return photo.flatten(1).scatter(1, index.flatten(1), shrunk.flatten(1)).view_as(photo)
