@@ -106,6 +106,8 @@ def photo_folder(folder: Path | str) -> tuple[Path, ...]:
 def pick(photos: Sequence[Path], count: int, *, least_px: int) -> tuple[Path, ...]:
     """Choose photos evenly over the list (neighbours are often frames of one film), all of them where there are fewer.
 
+    For one that is too small the next in the list is taken.
+
     Parameters
     ----------
     photos : sequence of Path
@@ -116,13 +118,26 @@ def pick(photos: Sequence[Path], count: int, *, least_px: int) -> tuple[Path, ..
     Raises
     ------
     ValueError
-        If a chosen photo is too small or cannot be read; the line names it.
+        If none is large enough, or one cannot be read; the line names it.
     """
     number = min(count, len(photos))
-    chosen = tuple(photos[i * len(photos) // number] for i in range(number))
-    for path in chosen:
-        _large_enough(path, read_image(path), least_px)
-    return chosen
+    chosen: dict[int, Path] = {}
+    small: dict[int, ValueError] = {}
+    for i in range(number):
+        start = i * len(photos) // number
+        for index in [*range(start, len(photos)), *range(start)]:
+            if index in chosen or index in small:
+                continue
+            try:
+                _large_enough(photos[index], read_image(photos[index]), least_px)
+            except _TooSmallError as error:
+                small[index] = error
+                continue
+            chosen[index] = photos[index]
+            break
+    if small and not chosen:
+        raise small[min(small)]
+    return tuple(chosen[index] for index in sorted(chosen))
 
 
 def crop(path: Path, size: int, rng: np.random.Generator, *, gamma: str = "linear") -> FloatArray:
@@ -207,7 +222,11 @@ def _detail(image: FloatArray) -> float:
     return float(np.abs(np.diff(grey, axis=0)).mean() + np.abs(np.diff(grey, axis=1)).mean())
 
 
+class _TooSmallError(ValueError):
+    """A photo does not hold the crop."""
+
+
 def _large_enough(path: Path, image: FloatArray, least_px: int) -> None:
     height, width = image.shape[:2]
     if min(height, width) < least_px:
-        raise ValueError(f"{path}: {width} x {height} px is too small, the protocol needs {least_px} px a side")
+        raise _TooSmallError(f"{path}: {width} x {height} px is too small, the protocol needs {least_px} px a side")

@@ -163,6 +163,17 @@ def test_photos_are_picked_over_the_whole_list(tmp_path):
         pick(photos, 3, least_px=40)
 
 
+def test_for_a_photo_that_is_too_small_the_next_is_taken(tmp_path):
+    sizes = [(40, 50), (30, 50), (40, 50), (20, 20), (40, 50), (40, 50)]
+    photos = []
+    for i, size in enumerate(sizes):
+        photos.append(tmp_path / f"{i}.png")
+        write_image(photos[-1], np.random.default_rng(i).random(size))
+    assert [path.stem for path in pick(photos, 2, least_px=40)] == ["0", "4"]
+    assert [path.stem for path in pick(photos, 6, least_px=40)] == ["0", "2", "4", "5"]
+    assert [path.stem for path in pick(photos[3:], 1, least_px=40)] == ["4"]
+
+
 def test_a_crop_is_a_part_of_the_photo_and_every_place_may_come(tmp_path):
     path = photo(tmp_path / "a.png")
     whole = read_image(path, gamma="linear")
