@@ -17,7 +17,7 @@ from cep.bench.cells import Figure
 from cep.bench.sources import source_version
 from cep.calibrate import check_texture, make_estimator
 from cep.files import plain
-from cep.images import _RAW, _SUFFIXES, read_image, read_photo
+from cep.images import PHOTO_SUFFIXES, read_image, read_photo
 from motdiff.estimators.base import MotionEstimate
 from motdiff.trajectory import Trajectory
 
@@ -56,7 +56,7 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
     found = [
         path
         for path in sorted(root.iterdir())
-        if path.suffix.lower() in _SUFFIXES | _RAW
+        if path.suffix.lower() in PHOTO_SUFFIXES
         and not path.name.startswith(".")
         and (path.is_file() or not path.exists())  # a link that leads nowhere is told of, not passed over
         and not (but is not None and path.exists() and path.samefile(but))

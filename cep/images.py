@@ -16,17 +16,31 @@ from numpy.typing import ArrayLike, NDArray
 from cep.outputs import new_file
 from motdiff.simulate import to_display, to_linear
 
-__all__ = ["MIN_SIDE_PX", "Photo", "parse_gamma", "read_image", "read_photo", "write_image"]
+__all__ = [
+    "MIN_SIDE_PX",
+    "PHOTO_SUFFIXES",
+    "PICTURE_SUFFIXES",
+    "Photo",
+    "parse_gamma",
+    "read_image",
+    "read_photo",
+    "write_image",
+]
 
 FloatArray = NDArray[np.float64]
 
 MIN_SIDE_PX = 16
 """Smallest side of a photo, px: below it there is no blur to speak of."""
 
+PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
+"""What :func:`write_image` writes."""
+
 _RAW = {".3fr", ".arw", ".cr2", ".cr3", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".srw"}
+PHOTO_SUFFIXES = (*PICTURE_SUFFIXES, *sorted(_RAW))
+"""What :func:`read_photo` reads."""
+
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg"}
 
 
 @dataclass(frozen=True)
@@ -125,7 +139,7 @@ def write_image(path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str
 
     target = Path(path)
     suffix = target.suffix.lower()
-    if suffix not in _SUFFIXES:
+    if suffix not in PICTURE_SUFFIXES:
         raise ValueError(f"{target}: images are written as .png, .tif or .jpg, not {suffix or 'without a suffix'}")
     exponent = _exponent(gamma)
     if bits not in (8, 16, 32):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.pairs import rsblur_pairs
-from cep.images import read_image
+from cep.images import PICTURE_SUFFIXES, read_image
 from motdiff.crops import luminance
 
 __all__ = ["Layout", "bundled_photos", "crop", "layout_of", "photo_folder", "pick"]
@@ -21,7 +21,6 @@ FloatArray = NDArray[np.float64]
 Layout = Literal["photos", "gopro", "rsblur", "levin", "koehler"]
 """What a folder holds, told by its content: see :func:`layout_of`."""
 
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 _BLURRED = ("blur", "blur_gamma")
 _COMPARED = 4
 _BUNDLED = (  # those that a quick run picks are the first and the sixth
@@ -174,7 +173,9 @@ def _folder(folder: Path | str) -> Path:
 
 
 def _photos(paths: Iterable[Path]) -> list[Path]:
-    return sorted(p for p in paths if p.suffix.lower() in _SUFFIXES and not p.name.startswith(".") and p.is_file())
+    return sorted(
+        p for p in paths if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".") and p.is_file()
+    )
 
 
 def _sharp_of_gopro(root: Path) -> tuple[Path, ...]:

@@ -65,7 +65,9 @@ def save(figure: Figure, path: Path | str) -> None:
         raise ValueError(f"{target}: figures are written as .png, .pdf or .svg")
     # in memory first: on a full disk matplotlib's PDF writer hides the error behind one of its own
     stream = io.BytesIO()
-    figure.savefig(stream, format=target.suffix[1:].lower(), dpi=_DPI)
+    kind = target.suffix[1:].lower()
+    dated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(kind)  # the same figure, the same bytes
+    figure.savefig(stream, format=kind, dpi=_DPI, metadata=dated)
     with new_file(target) as temporary:
         temporary.write_bytes(stream.getvalue())
 

@@ -126,6 +126,9 @@ def test_files_by_suffix(tmp_path):
     for name, magic in (("a.png", b"\x89PNG"), ("a.pdf", b"%PDF"), ("a.svg", b"<?xml")):
         save(figure, tmp_path / name)
         assert (tmp_path / name).read_bytes().startswith(magic)
+        written = (tmp_path / name).read_bytes()
+        assert b"CreationDate" not in written  # the same figure is the same file tomorrow
+        assert b"dc:date" not in written
     with pytest.raises(ValueError, match=r"\.png, \.pdf or \.svg"):
         save(figure, tmp_path / "a.gif")
     assert len(list(tmp_path.iterdir())) == 3
