@@ -215,6 +215,18 @@ def test_a_lost_estimate_is_said_to_be_lost():
     assert found_in(noise(100, 100), FakeSearch((line(), 0.5)))[0].warnings == ()
 
 
+def test_a_web_is_no_motion_however_sure_the_search_is():
+    web = np.zeros((KERNEL_PX, KERNEL_PX))
+    web[4:35:6, 4:35] = web[4:35, 4:35:6] = 1
+    estimate, _ = found_in(noise(100, 100), FakeSearch((web / web.sum(), 0.98)))
+    said, lost = estimate.warnings
+    assert "px long within 30 px: more a web of noise than a motion" in said
+    assert lost.startswith("the blind estimate is probably lost (confidence 0.20)")
+    assert estimate.confidence == 0.2
+    long, _ = found_in(noise(100, 100), FakeSearch((line(38), 0.98)))
+    assert (long.confidence, long.warnings) == (0.98, ())
+
+
 def test_one_blur_in_all_crops_is_no_warning():
     estimate, search = found_in(noise(500, 700))
     assert len(search.alone) == 1
