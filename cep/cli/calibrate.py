@@ -39,7 +39,8 @@ def calibrate(
     start: Annotated[float | None, typer.Option("--start", help="gyro: opening on the recording's clock, s.")] = None,
     exposure: Annotated[float | None, typer.Option("--exposure", help="gyro: exposure time, s.")] = None,
     samples: Annotated[
-        int | None, typer.Option("--samples", min=1, help="motdiff: motions to draw; 8 when omitted, more add next to nothing.")
+        int | None,
+        typer.Option("--samples", min=1, help="motdiff: motions to draw; 8 when omitted, more add next to nothing."),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="motdiff: in half the time, less exact.")] = False,
     gamma: Gamma = "srgb",
