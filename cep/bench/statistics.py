@@ -1,4 +1,4 @@
-"""Figures summed up: spread, and bootstrap intervals of means and paired differences, by clusters."""
+"""Figures summed up: spread, and intervals of means by clusters."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import stats
 
-__all__ = ["Interval", "Summary", "mean_interval", "paired_interval", "summed_up"]
+__all__ = ["Interval", "Summary", "crossed_interval", "mean_interval", "summed_up"]
 
 FloatArray = NDArray[np.float64]
 
@@ -49,6 +50,7 @@ class Interval:
     level : float
         Probability that such an interval holds the true mean.
     n, clusters : int
+        Values, and clusters: of the scarcer kind where two kinds cross.
     """
 
     mean: float
@@ -105,13 +107,7 @@ def mean_interval(
     ValueError
         If there are no values, one is not finite, or the labels do not fit.
     """
-    x = np.asarray(values, dtype=float)
-    if x.ndim != 1 or x.size == 0 or not np.isfinite(x).all():
-        raise ValueError(f"values: must be finite numbers in one row, got shape {x.shape}")
-    if clusters is not None and len(clusters) != x.size:
-        raise ValueError(f"clusters: must be one label per value, got {len(clusters)} for {x.size}")
-    if not 0 < level < 1:
-        raise ValueError(f"level: must be between 0 and 1, got {level:g}")
+    x = _checked(values, () if clusters is None else (clusters,), level)
     if resamples < 1000:
         raise ValueError(f"resamples: must be at least 1000, got {resamples}")
     numbers: dict[Hashable, int] = {}
@@ -136,25 +132,59 @@ def mean_interval(
     return Interval(mean, float(mean - high * error), float(mean - low * error), level, x.size, count)
 
 
-def paired_interval(
-    first: ArrayLike,
-    second: ArrayLike,
-    *,
-    rng: np.random.Generator,
-    clusters: Sequence[Hashable] | None = None,
-    level: float = 0.95,
-    resamples: int = _RESAMPLES,
+def crossed_interval(
+    values: ArrayLike, clusters: Sequence[Hashable], others: Sequence[Hashable], *, level: float = 0.95
 ) -> Interval:
-    """Bootstrap the mean of ``first - second``, values of the same photos and motions in the same order.
+    """Interval of the mean where values share two things at once: every photo is taken with the same motions.
 
-    Parameters and errors are those of :func:`mean_interval`.
+    The variances by either clustering are added and that of single values is taken away; Student's t with the scarcer
+    clusters' degrees of freedom.
+
+    Parameters
+    ----------
+    values : (n,) array_like, finite
+    clusters, others : n labels each
+    level : float, 0..1
+
+    Raises
+    ------
+    ValueError
+        As :func:`mean_interval`.
+
+    References
+    ----------
+    Cameron, Gelbach and Miller, "Robust inference with multiway clustering", J. Business & Economic Statistics 2011.
     """
-    one, other = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
-    if one.shape != other.shape:
-        raise ValueError(f"second: must have a value for each of first, {one.shape}, got {other.shape}")
-    with np.errstate(invalid="ignore"):  # infinite less infinite is refused below
-        difference = one - other
-    return mean_interval(difference, rng=rng, clusters=clusters, level=level, resamples=resamples)
+    x = _checked(values, (clusters, others), level)
+    mean = float(x.mean())
+    counts, variances = zip(*(_clustered(x - mean, labels) for labels in (clusters, others)), strict=True)
+    scarcest = min(counts)
+    if scarcest == 1:
+        return Interval(mean, -np.inf, np.inf, level, x.size, 1)
+    both = _clustered(x - mean, list(zip(clusters, others, strict=True)))[1]
+    error = float(np.sqrt(max(sum(variances) - both, *variances)))
+    reach = float(stats.t.ppf((1 + level) / 2, scarcest - 1)) * error
+    return Interval(mean, mean - reach, mean + reach, level, x.size, scarcest)
+
+
+def _checked(values: ArrayLike, labels: Sequence[Sequence[Hashable]], level: float) -> FloatArray:
+    x = np.asarray(values, dtype=float)
+    if x.ndim != 1 or x.size == 0 or not np.isfinite(x).all():
+        raise ValueError(f"values: must be finite numbers in one row, got shape {x.shape}")
+    for clusters in labels:
+        if len(clusters) != x.size:
+            raise ValueError(f"clusters: must be one label per value, got {len(clusters)} for {x.size}")
+    if not 0 < level < 1:
+        raise ValueError(f"level: must be between 0 and 1, got {level:g}")
+    return x
+
+
+def _clustered(away: FloatArray, labels: Sequence[Hashable]) -> tuple[int, float]:
+    """Count clusters, and the variance of the mean that they tell; ``away`` are distances from the mean."""
+    numbers: dict[Hashable, int] = {}
+    sums = np.bincount([numbers.setdefault(label, len(numbers)) for label in labels], weights=away)
+    count = len(numbers)
+    return count, float((sums**2).sum()) / away.size**2 * count / max(1, count - 1)
 
 
 def _draws(count: int, size: int, rng: np.random.Generator) -> FloatArray:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from cep.bench.cells import Figure
-from cep.bench.statistics import Interval, Summary, mean_interval, paired_interval, summed_up
+from cep.bench.statistics import Interval, Summary, crossed_interval, mean_interval, summed_up
 
 __all__ = ["Column", "Entry", "Table", "differences", "tabulate"]
 
@@ -33,12 +33,15 @@ class Column:
         Which row may be bold; None: no row.
     digits : int
         Decimals.
+    middle : {"mean", "median"}
+        What is shown. The median where some cells are infinite; it has no interval and is never bold.
     """
 
     figure: str
     head: str
     better: Literal["high", "low"] | None = None
     digits: int = 2
+    middle: Literal["mean", "median"] = "mean"
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,7 @@ class Table:
             (
                 label,
                 *(
-                    _in_words(entry, column.digits, self.cells[label], mark)
+                    _in_words(entry, column, self.cells[label], mark)
                     for entry, column in zip(entries, self.columns, strict=True)
                 ),
                 str(self.cells[label]),
@@ -115,7 +118,7 @@ def tabulate(
     *,
     rng: np.random.Generator,
     row: int = 0,
-    cluster: int = 1,
+    cluster: int | tuple[int, int] = 1,
     level: float = 0.95,
 ) -> Table:
     """Sum up figures by one label of the cells' names; cells whose other labels agree are pairs.
@@ -127,8 +130,10 @@ def tabulate(
     columns : sequence of Column
     rng : numpy.random.Generator
         Of the bootstrap.
-    row, cluster : int
-        Which labels are the row and what cells share, a photo or a motion: evidence is counted by it.
+    row : int
+        Which label is the row.
+    cluster : int or (int, int)
+        Which label cells share, as a photo: evidence is counted by it. Two where every photo has the same motions.
     level : float
         Of the intervals and tests.
 
@@ -137,10 +142,11 @@ def tabulate(
     ValueError
         If a name has too few labels, or a column shows what is no number.
     """
-    if row == cluster:
-        raise ValueError(f"cluster: must be another label than the row's, got {cluster} for both")
+    shared = (cluster,) if isinstance(cluster, int) else cluster
+    if row in shared:
+        raise ValueError(f"cluster: must be another label than the row's, got {row} for both")
     for name in figures:
-        if not (0 <= row < len(name) and 0 <= cluster < len(name)):
+        if not all(0 <= label < len(name) for label in (row, *shared)):
             raise ValueError(f"figures: labels {row} and {cluster} are wanted of every name, got {name}")
     labels = list(dict.fromkeys(name[row] for name in figures))
     made: dict[str, list[Entry]] = {label: [] for label in labels}
@@ -149,12 +155,11 @@ def tabulate(
         entries = {}
         for label, values in by_row.items():
             interval = None
-            if values and all(map(math.isfinite, values.values())):
-                shared = [name[cluster] for name in values]
-                interval = mean_interval(list(values.values()), rng=rng, clusters=shared, level=level)
+            if values and column.middle == "mean" and all(map(math.isfinite, values.values())):
+                interval = _interval(values, shared, rng, level)
             entries[label] = Entry(summed_up(values.values()), interval)
-        if column.better is not None:
-            entries |= _best(by_row, entries, column.better, cluster, rng, level)
+        if column.better is not None and column.middle == "mean":
+            entries |= _best(by_row, entries, column.better, shared, rng, level)
         for label in labels:
             made[label].append(entries[label])
     rows = {label: tuple(entries_) for label, entries_ in made.items()}
@@ -209,7 +214,7 @@ def _best(
     by_row: Mapping[str, Mapping[Name, float]],
     entries: Mapping[str, Entry],
     better: Literal["high", "low"],
-    cluster: int,
+    clusters: Sequence[int],
     rng: np.random.Generator,
     level: float,
 ) -> dict[str, Entry]:
@@ -224,22 +229,29 @@ def _best(
     shared = [name for name in by_row[best] if name in by_row[second]]
     if not shared or not all(math.isfinite(by_row[label][name]) for label in (best, second) for name in shared):
         return {}
-    lead = paired_interval(
-        [sign * by_row[best][name] for name in shared],
-        [sign * by_row[second][name] for name in shared],
-        rng=rng,
-        clusters=[name[cluster] for name in shared],
-        level=level,
+    lead = _interval(
+        {name: sign * (by_row[best][name] - by_row[second][name]) for name in shared}, clusters, rng, level
     )
     whole = len(shared) == len(by_row[second])
     entry = entries[best]
     return {best: Entry(entry.summary, entry.interval, lead, second, bold=whole and lead.low > 0)}
 
 
-def _in_words(entry: Entry, digits: int, cells: int, mark: tuple[str, str]) -> str:
+def _interval(
+    values: Mapping[Name, float], clusters: Sequence[int], rng: np.random.Generator, level: float
+) -> Interval:
+    labels = [[name[cluster] for name in values] for cluster in clusters]
+    numbers = list(values.values())
+    if len(labels) == 2:
+        return crossed_interval(numbers, *labels, level=level)
+    return mean_interval(numbers, rng=rng, clusters=labels[0], level=level)
+
+
+def _in_words(entry: Entry, column: Column, cells: int, mark: tuple[str, str]) -> str:
     if entry.summary.n == 0:
         return "–"
-    text = f"{entry.summary.mean:.{digits}f}"
+    digits = column.digits
+    text = f"{getattr(entry.summary, column.middle):.{digits}f}"
     text = f"{mark[0]}{text}{mark[1]}" if entry.bold else text
     if entry.interval is not None and math.isfinite(entry.interval.high):
         text += f" ({entry.interval.low:.{digits}f}..{entry.interval.high:.{digits}f})"

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from cep.bench.statistics import mean_interval, paired_interval, summed_up
+from cep.bench.statistics import crossed_interval, mean_interval, summed_up
 
 
 def rng(seed=0):
@@ -34,7 +34,7 @@ def test_summaries_of_little():
 def test_a_constant_difference_has_no_width(constant, count, size):
     second = rng(1).integers(-1000, 1000, count * size) / 8  # sums and differences without rounding
     clusters = [index // size for index in range(count * size)]
-    found = paired_interval(second + constant / 8, second, rng=rng(), clusters=clusters, resamples=1000)
+    found = mean_interval((second + constant / 8) - second, rng=rng(), clusters=clusters, resamples=1000)
     assert found.low == found.mean == found.high == constant / 8
     assert (found.n, found.clusters) == (count * size, count)
     assert found.excludes_zero == (constant != 0)
@@ -136,14 +136,38 @@ def test_the_same_seed_gives_the_same():
     assert mean_interval(values, rng=rng(1)) != mean_interval(values, rng=rng(2))
 
 
-def test_pairs_are_differences():
-    first, second = rng(11).normal(size=(2, 20))
-    clusters = list(range(10)) * 2
-    found = paired_interval(first, second, rng=rng(), clusters=clusters)
-    assert found == mean_interval(first - second, rng=rng(), clusters=clusters)
-    swapped = paired_interval(second, first, rng=rng(), clusters=clusters)
-    assert (swapped.low, swapped.high) == pytest.approx((-found.high, -found.low), abs=1e-12)
-    assert paired_interval(second + 3, second + rng().random(20), rng=rng()).excludes_zero
+def crossed(photos, motions, generator, *, photo_sd=0.3, motion_sd=2.0):
+    """Values of every photo with every motion, their photos and their motions; the true mean is 0."""
+    of_photo, of_motion = generator.normal(0, photo_sd, photos), generator.normal(0, motion_sd, motions)
+    values = of_photo[:, None] + of_motion + generator.normal(0, 1, (photos, motions))
+    return values.ravel(), np.repeat(np.arange(photos), motions).tolist(), np.tile(np.arange(motions), photos).tolist()
+
+
+@pytest.mark.parametrize(("photos", "motions"), [(10, 10), (10, 40)])
+def test_crossed_intervals_hold_the_mean_as_often_as_they_say(photos, motions):
+    """By photo alone, though photos are as scarce, they would hold it in half of the trials."""
+    generator, found, alone = rng(5), [], []
+    for _ in range(400):
+        values, by_photo, by_motion = crossed(photos, motions, generator)
+        found.append(crossed_interval(values, by_photo, by_motion))
+        sums = np.bincount(by_photo, weights=values) / motions
+        alone.append(abs(sums.mean()) < 2.26 * sums.std(ddof=1) / math.sqrt(photos))
+    assert 0.92 < np.mean([one.low <= 0 <= one.high for one in found]) < 0.99
+    assert np.mean(alone) < 0.7
+
+
+def test_crossed_clusters_that_are_one_are_plain_clusters():
+    """Each value a cluster of its own, twice: Student's interval."""
+    values = rng(6).normal(size=12)
+    found = crossed_interval(values, list(range(12)), list("abcdefghijkl"))
+    half = stats.t.ppf(0.975, 11) * values.std(ddof=1) / math.sqrt(12)
+    assert (found.low, found.high) == pytest.approx((values.mean() - half, values.mean() + half))
+    assert (found.n, found.clusters) == (12, 12)
+
+
+def test_crossed_with_one_photo_says_nothing_of_others():
+    found = crossed_interval([1.0, 2.0, 3.0], ["a"] * 3, [0, 1, 2])
+    assert (found.mean, found.low, found.high, found.clusters) == (2, -math.inf, math.inf, 1)
 
 
 @pytest.mark.parametrize(
@@ -161,5 +185,8 @@ def test_pairs_are_differences():
 def test_refusals(values, options, message):
     with pytest.raises(ValueError, match=message):
         mean_interval(values, rng=rng(), **options)
-    with pytest.raises(ValueError, match="second: must have a value for each"):
-        paired_interval([1.0], [1.0, 2.0], rng=rng())
+
+
+def test_crossed_needs_labels_of_both_kinds():
+    with pytest.raises(ValueError, match="clusters: must be one label per value, got 1 for 2"):
+        crossed_interval([1.0, 2.0], ["a", "b"], ["a"])

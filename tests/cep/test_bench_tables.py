@@ -11,7 +11,7 @@ from rich.console import Console
 
 from cep.bench.layout import TABLES_SCHEMA, tables_csv, tables_json, tables_markdown
 from cep.bench.machine import machine
-from cep.bench.statistics import paired_interval, summed_up
+from cep.bench.statistics import mean_interval, summed_up
 from cep.bench.tables import Column, differences, tabulate
 from cep.cli.console import table as rich_table
 
@@ -132,8 +132,8 @@ def test_differences_are_taken_pair_by_pair():
     plain = [figures[name]["psnr_db"] for name in names]
     entry = table.rows["plain"][0]
     assert entry.summary.mean == pytest.approx(np.mean(ours) - np.mean(plain), rel=1e-9)
-    assert entry.interval == paired_interval(
-        ours, plain, rng=np.random.default_rng(5), clusters=[name[1] for name in names]
+    assert entry.interval == mean_interval(
+        np.subtract(ours, plain), rng=np.random.default_rng(5), clusters=[name[1] for name in names]
     )
     with pytest.raises(ValueError, match="reference: must be one of the rows, got 'theirs'"):
         differences(figures, "theirs")

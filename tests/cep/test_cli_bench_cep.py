@@ -9,6 +9,7 @@ import pytest
 
 from cep.bench.coded import designs
 from cep.bench.coded.designs import DESIGNS
+from cep.cli.console import FAILURE, INTERRUPTED
 from cep.code import ShutterCode
 from cep.images import read_image, write_image
 
@@ -38,7 +39,9 @@ quick_steps = 500
 """
 TABLES = [
     "Coded exposure, tiny, 300 photo-electrons",
+    "Coded exposure, tiny, 300 photo-electrons: rows beyond comparison",
     "Coded exposure, tiny, 10,000 photo-electrons",
+    "Coded exposure, tiny, 10,000 photo-electrons: rows beyond comparison",
     "Noise gain of the codes along the true motion",
 ]
 
@@ -65,8 +68,9 @@ def untouchable(*_arguments):
 def test_from_photos_to_every_output_and_found_again(cep, studio, monkeypatch):
     found = cep.succeeds(*CEP, "-o", "out")
     assert list(found["tables"]) == TABLES
-    rows = found["tables"][TABLES[1]]
-    assert list(rows) == [DESIGNS[name].label for name in ("open", "dnf", "oracle")]
+    assert list(found["tables"][TABLES[2]]) == [DESIGNS[name].label for name in ("open", "dnf")]
+    rows = found["tables"][TABLES[3]]
+    assert list(rows) == [DESIGNS["oracle"].label]
     assert rows[DESIGNS["oracle"].label]["psnr_db"]["n"] == 2
     assert (found["protocol"], found["designs"], found["failures"], found["missing"]) == (
         "tiny", ["open", "dnf", "oracle"], {}, 0,
@@ -109,13 +113,35 @@ def test_stopped_in_a_search_it_goes_on_later(cep, studio, monkeypatch):
     monkeypatch.setattr(designs, "anneal", stopping)
     options = ("--designs", "oracle", "--quick", "-o", "out")
     Path("tiny.toml").write_text(TINY.replace("quick_motions = 1", "quick_motions = 2"))
-    found = cep.succeeds(*CEP, *options)
-    assert (found["missing"], found["tables"]) == (1, {})
-    assert any("stopped early" in warning and "--force goes on" in warning for warning in found["warnings"])
+    cep(*CEP, *options, "--json")
+    assert (cep.code, cep.err) == (INTERRUPTED, "cep: interrupted\n")
+    assert (cep.json["missing"], cep.json["tables"]) == (1, {})
+    assert any("stopped early" in warning and "--force goes on" in warning for warning in cep.json["warnings"])
     assert "stopped early" in Path("out/cep.md").read_text()
     whole = cep.succeeds(*CEP, *options, "--force")
     assert whole["missing"] == 0
     assert len(calls) == 3  # the one before Ctrl-C is kept, the one that was stopped is made whole
+
+
+def test_a_search_that_fails_is_told_beside_the_others(cep, studio, monkeypatch):
+    def fails(*_arguments, **_options):
+        raise ValueError("problem: too hard")
+
+    monkeypatch.setattr(designs, "anneal", fails)
+    cep(*CEP, "--designs", "open,oracle", "--quick", "-o", "out", "--json")
+    assert cep.code == FAILURE
+    assert set(cep.json["failures"].values()) == {"problem: too hard"}
+    assert DESIGNS["open"].label in Path("out/cep.md").read_text()
+
+
+def test_a_second_run_takes_no_picture_of_the_first_for_a_photo(cep, studio):
+    """Its picture is large enough to be taken: --data . beside an output folder would blur a table's picture."""
+    options = ("--designs", "open", "--quick", "-o")
+    command = ["." if part == "photos" else part for part in CEP]
+    first = cep.succeeds(*command, *options, "out")
+    assert min(read_image("out/cep.png").shape[:2]) >= 159
+    assert cep.succeeds(*command, *options, "other")["tables"] == first["tables"]
+    assert Path("other/cep-photos.csv").read_text() == Path("out/cep-photos.csv").read_text()
 
 
 def test_people_see_tables_and_where_the_files_are(cep, studio, monkeypatch):

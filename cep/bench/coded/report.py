@@ -93,6 +93,7 @@ def _figure(measured: CodedTable) -> Figure:
 
 def _introduction(measured: CodedTable, command: str, warnings: Sequence[str]) -> str:
     protocol = measured.protocol
+    photos = len({shot.photo for shot in measured.shots})
     counts = {name: harmed(measured, name) for name in ("both-ways", "one-way")}
     mncs = {
         kind: [float(f["mnc"] or 0) for (k, _, _), f in measured.estimates.items() if k == kind and f]
@@ -103,11 +104,16 @@ def _introduction(measured: CodedTable, command: str, warnings: Sequence[str]) -
         "# The coded-exposure table",
         "",
         f"Made by `{command}`, protocol `{protocol.name}`, seed {protocol.seed}, on {machines or 'no machine'}.",
-        f"{protocol.chips} chips (DCE: 32), {protocol.open_range[0]} to {protocol.open_range[1]} open, searched for "
-        f"`{protocol.objective}` with {protocol.steps:,} moves each; restored by `{protocol.restoration}`"
-        + (_RESTORED_BY[protocol.restored_by]),
-        "Means, and in brackets their 95 % intervals from a bootstrap; the best is bold only where a paired test tells "
-        "it from the next one. PSNR and SSIM up to shift, 32 px of border left out.",
+        f"{photos} photos, {protocol.motions} motions each. {protocol.chips} chips (DCE: 32); searches keep "
+        f"{protocol.open_range[0]} to {protocol.open_range[1]} of them open and have {protocol.steps:,} moves each for "
+        f"`{protocol.objective}` (DNF: always `noise`, of a straight blur); snapshots, strobes and published codes are "
+        f"as they are. Restored by `{protocol.restoration}`{_RESTORED_BY[protocol.restored_by]}",
+        ""
+        if protocol.photons
+        else "Every photo has the light of the open shutter, as if coding cost none: snapshots and "
+        "strobes, which shut out the most, are shown apart.",
+        "Means, and in brackets their 95 % intervals for other photos and other motions alike; the best is bold only "
+        "where a paired test tells it from the next one. PSNR and SSIM up to shift, 32 px of border left out.",
         *(f"\n- {warning}" for warning in warnings),
         *(
             f"\nMNC of the estimated path's PSF ({ESTIMATORS[kind]}): mean {sum(values) / len(values):.3f}."

@@ -16,7 +16,7 @@ from cep.bench.coded.designs import Known, designed
 from cep.camera import Camera, visible
 from cep.code import ShutterCode
 from cep.exposure import coded_psf
-from cep.mtf import measure
+from cep.mtf import CodeMetrics, measure
 from cep.restore import restore
 from cep.restore.direction import compare_psfs
 from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift
@@ -28,6 +28,7 @@ __all__ = ["PSF_PX", "Taken", "choose_code", "estimate_motion", "paths_from", "p
 FloatArray = NDArray[np.float64]
 PSF_PX = 64
 """Side of the frame that every true motion fits."""
+_ZERO = 1e-9
 _CROP_PX = 32  # left out of every comparison: restored borders lean on a guess
 
 
@@ -125,7 +126,8 @@ def take_photo(
     Returns
     -------
     dict with ``psnr_db`` and ``ssim`` (linear light, up to shift), ``noise_gain_db`` and ``reversed_noise_gain_db``
-    (along the true motion and against it, at the light that the photo has), and ``min_mtf`` (light-true)
+    (along the true motion and against it, at the light that the photo has; infinite on a straight, even motion whose
+    MTF has a zero), and ``min_mtf`` (light-true)
     """
     taken = photographed(
         scene, motion, assumed, bits=bits, borders=borders, light_true=light_true, restoration=restoration,
@@ -138,10 +140,15 @@ def take_photo(
     return {
         "psnr_db": psnr_db,
         "ssim": ssim,
-        "noise_gain_db": along.noise_gain_db + lent_db,
-        "reversed_noise_gain_db": against.noise_gain_db + lent_db,
+        "noise_gain_db": _gain_db(along) + lent_db,
+        "reversed_noise_gain_db": _gain_db(against) + lent_db,
         "min_mtf": along.min_mtf,
     }
+
+
+def _gain_db(metrics: CodeMetrics) -> float:
+    # on a line of zeros, as an open shutter has on straight motion, samples near it would give any figure
+    return math.inf if metrics.min_chip is not None and metrics.min_mtf < _ZERO else metrics.noise_gain_db
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,16 @@ from cep.bench.coded.designs import DESIGNS
 from cep.bench.coded.run import CodedTable, Shot
 from cep.bench.tables import Column, Table, differences, tabulate
 
-__all__ = ["coded_tables", "harmed", "shots_csv"]
+__all__ = ["beyond_comparison", "coded_tables", "harmed", "shots_csv"]
 
 Name = tuple[str, ...]
 _QUALITY = (Column("psnr_db", "PSNR, dB", better="high"), Column("ssim", "SSIM", better="high", digits=3))
-_GAIN = (
-    Column("noise_gain_db", "noise gain, dB", better="low"),
-    Column("worse_noise_gain_db", "worse direction, dB", better="low"),
+_PLAIN = tuple(Column(column.figure, column.head, digits=column.digits) for column in _QUALITY)
+_GAIN = (  # infinite where an open shutter meets a straight motion
+    Column("noise_gain_db", "noise gain, dB, median", middle="median"),
+    Column("worse_noise_gain_db", "worse direction, dB, median", middle="median"),
 )
+_FREE_LIGHT = ("snapshot", "strobe")
 _REFERENCE = "both-ways"
 
 
@@ -42,17 +44,30 @@ def coded_tables(measured: CodedTable, *, reference: str = _REFERENCE) -> list[T
             continue
         figures = _figures(shots)
         light = "" if level is None else f", {level:,.0f} photo-electrons"
-        tables.append(_table(f"Coded exposure, {measured.protocol.name}{light}", figures, _QUALITY, measured))
+        title = f"Coded exposure, {measured.protocol.name}{light}"
+        apart = {DESIGNS[name].label for name in designs if beyond_comparison(measured, name)}
+        rivals = {name: own for name, own in figures.items() if name[0] not in apart}
+        limits = {name: own for name, own in figures.items() if name[0] in apart}
+        if rivals:
+            tables.append(_table(title, rivals, _QUALITY, measured))
+        if limits:
+            tables.append(_table(f"{title}: rows beyond comparison", limits, _PLAIN, measured))
         if reference in designs and len(designs) > 1:
             less = differences(figures, DESIGNS[reference].label)
             title = f"{DESIGNS[reference].label} less each other row{light}"
-            tables.append(
-                _table(title, less, tuple(Column(c.figure, c.head, digits=c.digits) for c in _QUALITY), measured)
-            )
+            tables.append(_table(title, less, _PLAIN, measured))
     if gains := _figures(measured.shots):  # the same at every level
-        # by motion: photos tell nothing of a code that does not depend on them
-        tables.append(_table("Noise gain of the codes along the true motion", gains, _GAIN, measured, cluster=2))
+        tables.append(_table("Noise gain of the codes along the true motion", gains, _GAIN, measured))
     return tables
+
+
+def beyond_comparison(measured: CodedTable, design: str) -> bool:
+    """Whether a row is no rival of the others: it knows the truth, or pays nothing for the light that it shuts out.
+
+    Where coding costs no light, the shorter an exposure the better, and a snapshot is no code.
+    """
+    free = not measured.protocol.photons and design in _FREE_LIGHT
+    return free or DESIGNS[design].knows_truth
 
 
 def harmed(measured: CodedTable, design: str) -> tuple[int, int]:
@@ -104,19 +119,11 @@ def _figures(shots: Sequence[Shot]) -> dict[Name, Mapping[str, Figure]]:
 
 
 def _table(
-    title: str,
-    figures: Mapping[Name, Mapping[str, Figure]],
-    columns: Sequence[Column],
-    measured: CodedTable,
-    *,
-    cluster: int | None = None,
+    title: str, figures: Mapping[Name, Mapping[str, Figure]], columns: Sequence[Column], measured: CodedTable
 ) -> Table:
-    if cluster is None:
-        # whichever is the scarcer evidence: pairs share photos and motions
-        photos, motions = (len({name[label] for name in figures}) for label in (1, 2))
-        cluster = 1 if photos <= motions else 2
     rng = np.random.default_rng([measured.protocol.seed, 4])
-    return tabulate(title, figures, columns, rng=rng, row=0, cluster=cluster)
+    # every photo is taken with the same motions, so neither alone is evidence
+    return tabulate(title, figures, columns, rng=rng, row=0, cluster=(1, 2))
 
 
 def _worse(figures: Mapping[str, Figure]) -> float:

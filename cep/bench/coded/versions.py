@@ -16,28 +16,30 @@ _ESTIMATED: dict[str, tuple[str, Path]] = {
     "parametric": ("motdiff.estimators.parametric", PATH_WEIGHTS),
 }
 _LIGHT = "cep.baselines.light"
+_PUBLISHED = "cep.baselines.published"
+_SEARCHED = ("cep.search.annealing.anneal", _LIGHT, _PUBLISHED)  # searches start from both
 _CHOSEN = {
-    "open": "cep.code",
-    "snapshot": _LIGHT,
-    "strobe": _LIGHT,
-    "random": _LIGHT,
-    "raskar-52": "cep.baselines.published",
-    "dnf": "cep.baselines.dnf",
-    "dce": "cep.baselines.dce.shipped",
+    "open": ("cep.code",),
+    "snapshot": (_LIGHT,),
+    "strobe": (_LIGHT,),
+    "random": (_LIGHT,),
+    "raskar-52": (_PUBLISHED,),
+    "dnf": ("cep.baselines.dnf", *_SEARCHED),
+    "dce": ("cep.baselines.dce.shipped",),
 }
-_SEARCH = "cep.search.annealing.anneal"
 
 
 def motion_version(method: str) -> str:
     """Fingerprint of what estimates a motion: an estimator of :data:`cep.bench.coded.run.ESTIMATORS`."""
     module, weights = _ESTIMATED[method]
-    return source_version([module, "motdiff.metrics", "motdiff.simulate"], alone=[_STAGES], files=[weights])
+    used = [module, "motdiff.metrics", "motdiff.simulate", "cep.camera"]
+    return source_version(used, alone=[_STAGES, "motdiff.evaluation.methods"], files=[weights])
 
 
 def code_version(design: str) -> str:
     """Fingerprint of what chooses a code: a design of :data:`cep.bench.coded.designs.DESIGNS`."""
     files = [SHIPPED] if design == "dce" else []
-    return source_version([_CHOSEN.get(design, _SEARCH)], alone=["cep.bench.coded.designs"], files=files)
+    return source_version(_CHOSEN.get(design, _SEARCHED), alone=["cep.bench.coded.designs", _STAGES], files=files)
 
 
 def photo_version() -> str:
