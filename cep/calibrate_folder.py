@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from cep.bench.blind.usage import one_thread
 from cep.bench.cells import Figure
 from cep.bench.sources import source_version
 from cep.calibrate import check_texture, make_estimator
 from cep.files import plain
 from cep.images import PHOTO_SUFFIXES, read_image, read_photo
 from motdiff.estimators.base import MotionEstimate
+from motdiff.parallel import one_thread
 from motdiff.trajectory import Trajectory
 
 __all__ = [

@@ -1,17 +1,38 @@
-"""Torch jobs side by side, one thread each: for arrays too small to share one."""
+"""How much of the machine torch takes: jobs side by side, one thread each, or one thread in all."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TypeVar
 
-import torch
-
-__all__ = ["side_by_side"]
+__all__ = ["one_thread", "side_by_side"]
 
 _Result = TypeVar("_Result")
+
+_ALONE = ContextVar("_ALONE", default=False)  # torch's own count says nothing: small arrays want 1 everywhere
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep torch, and :func:`side_by_side` with it, to one thread while the context lasts.
+
+    For work that runs beside others of its kind, and for processor time: threads that wait for each other count as
+    such. Torch's sums may depend on the number of threads in their last bits.
+    """
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    token = _ALONE.set(True)
+    try:
+        yield
+    finally:
+        _ALONE.reset(token)
+        torch.set_num_threads(threads)
 
 
 def side_by_side(
@@ -19,8 +40,8 @@ def side_by_side(
 ) -> list[_Result]:
     """Run every job without gradients, as many at a time as there are cores, and give their results in order.
 
-    Fewer where the environment says so: a process that shares the machine with others of its kind, as a benchmark's
-    workers do, is started with ``OMP_NUM_THREADS``.
+    One at a time within :func:`one_thread`, and fewer where the environment says so: a process that shares the machine
+    with others of its kind, as a benchmark's workers do, is started with ``OMP_NUM_THREADS``.
 
     Parameters
     ----------
@@ -28,6 +49,8 @@ def side_by_side(
     tell : callable, optional
         Called with the number of finished jobs.
     """
+    import torch
+
     threads = torch.get_num_threads()
     results: list[_Result] = []
     try:
@@ -47,6 +70,8 @@ def side_by_side(
 
 
 def _cores() -> int:
+    if _ALONE.get():
+        return 1
     told = os.environ.get("OMP_NUM_THREADS", "").strip()
     cores = os.cpu_count() or 1
     return min(cores, int(told)) if told.isdigit() else cores

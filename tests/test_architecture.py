@@ -26,6 +26,7 @@ HEAVY_ALLOWED = {
     "numba": ("cep/compiled.py",),
     "torch": (  # torch packages and modules throughout
         "cep/baselines/dce/",
+        "cep/restore/denoiser/",
         "motdiff/conditions.py",
         "motdiff/diffusion.py",
         "motdiff/estimators/blinddps.py",

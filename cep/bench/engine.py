@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,7 +70,7 @@ def run_cells(
     ----------
     cells : sequence of Cell
         Each with a name of its own. Those with the same work and arguments run once.
-    cache : folder of finished cells, made where it is missing
+    cache : folder of finished cells, made where it is missing, and not left behind empty by what is raised
         Failed ones are not kept: they are tried again next time.
     workers : int
         Processes; 1 runs in this one.
@@ -99,7 +99,13 @@ def run_cells(
     if len(set(names)) < len(names):
         twice = next(cell for cell in cells if names.count(cell.name) > 1)
         raise ValueError(f"cells: every name must come once, {twice.label} comes twice")
-    store = Cache(cache)
+    with _no_empty_folder(Path(cache)):
+        return _run(cells, Cache(cache), workers=workers, dask=dask, progress=progress)
+
+
+def _run(
+    cells: Sequence[Cell], store: Cache, *, workers: int, dask: str | None, progress: Callable[[float, str], None]
+) -> Outcome:
     keys = fingerprints(cells)
     by_key = dict(zip(keys, cells, strict=True))
     found = {key: finished for key in by_key if (finished := store.find(key)) is not None}
@@ -123,6 +129,21 @@ def run_cells(
         Result(cell, found[key], key in cached) for key, cell in zip(keys, cells, strict=True) if key in found
     )
     return Outcome(results, len(cells) - len(results), tuple(store.warnings))
+
+
+@contextmanager
+def _no_empty_folder(folder: Path) -> Iterator[None]:
+    """Remove what was not there before and is still empty, when something is raised."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        yield
+    except BaseException:
+        for path in missing:
+            try:
+                path.rmdir()
+            except OSError:  # something is in it, or it was never made
+                break
+        raise
 
 
 def _finishing(waiting: Tasks, *, workers: int, dask: str | None) -> Generator[tuple[str, Finished]]:

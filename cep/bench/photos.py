@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.bench.layout import TABLES_SCHEMA
 from cep.bench.pairs import rsblur_pairs
 from cep.images import PICTURE_SUFFIXES, read_image
 from motdiff.crops import luminance
@@ -23,6 +24,7 @@ Layout = Literal["photos", "gopro", "rsblur", "levin", "koehler"]
 
 _BLURRED = ("blur", "blur_gamma")
 _COMPARED = 4
+_HEAD_BYTES = 200
 _BUNDLED = (  # those that a quick run picks are the first and the sixth
     "astronaut.png",
     "motorcycle_left.png",
@@ -70,6 +72,8 @@ def layout_of(folder: Path | str) -> Layout:
 
 def photo_folder(folder: Path | str) -> tuple[Path, ...]:
     """List the sharp photos of a folder, sorted: all of them, or the sharp halves of GoPro's and RSBlur's layouts.
+
+    Pictures that a benchmark has left there are none.
 
     Parameters
     ----------
@@ -174,8 +178,19 @@ def _folder(folder: Path | str) -> Path:
 
 def _photos(paths: Iterable[Path]) -> list[Path]:
     return sorted(
-        p for p in paths if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".") and p.is_file()
+        p
+        for p in paths
+        if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".") and p.is_file() and not _of_a_table(p)
     )
+
+
+def _of_a_table(picture: Path) -> bool:
+    """Whether a benchmark made the picture: its tables lie beside it, under the same name."""
+    tables = picture.with_suffix(".json")
+    if not tables.is_file():
+        return False
+    with tables.open("rb") as stream:
+        return f'"{TABLES_SCHEMA}"'.encode() in stream.read(_HEAD_BYTES)  # annotations of photos may be large
 
 
 def _sharp_of_gopro(root: Path) -> tuple[Path, ...]:

@@ -9,7 +9,8 @@ import typer
 
 from cep.cli import bench_blind, bench_cep, bench_codes
 from cep.cli.bench_options import Cache, Dask, Data, Engine, Gyro, Job, Quick, Workers, spelled
-from cep.cli.console import FAILURE, complain, finish, progress
+from cep.cli.console import complain, finish, progress
+from cep.cli.folders import end
 from cep.cli.options import Force, Json
 
 if TYPE_CHECKING:
@@ -46,7 +47,8 @@ def everything(
 ) -> None:
     """Compare with what others published: one table by its name, or with options alone all of them in one folder.
 
-    Finished cells are kept: stopped by Ctrl-C, the same command goes on. Exit code 1 when a cell failed.
+    Finished cells are kept: stopped by Ctrl-C, the same command with --force goes on. Exit code 1 when a cell failed,
+    130 when stopped; what is finished is written either way. Costs are measured here, never on --dask's cluster.
 
     Example: cep bench --quick -o bench
     """
@@ -92,7 +94,7 @@ def everything(
     finish(result, as_json=as_json, show=page)
     if failed:
         complain(f"{failed} cells failed: {index} names them")
-        raise typer.Exit(FAILURE)
+    end(missing=sum(part.missing for part in parts.values()), failed=failed)
 
 
 def _jobs(
@@ -104,9 +106,9 @@ def _jobs(
         "codes": bench_codes.codes_job(
             output / "codes", engine, names=names, time_s=time_s, seed=0, force=force
         ),
-        # before the blind table, whose cells these are: a cost is measured while nothing else runs
+        # before the blind table, whose cells these are, and here: a cost is measured while nothing else runs
         "speed": bench_blind.speed_job(
-            output / "speed", Engine(engine.cache, 1, engine.dask), data=data, protocol="paper", methods="", gyro=None,
+            output / "speed", Engine(engine.cache, 1, None), data=data, protocol="paper", methods="", gyro=None,
             quick=quick, force=force,
         ),
     }  # fmt: skip

@@ -64,7 +64,8 @@ def blind(
     """Measure estimators where the motion is known: the paper's tables I and II.
 
     A folder of sharp photos, or of GoPro's layout, is blurred by simulated shakes; Levin's .mat files, RSBlur's pairs
-    and Koehler's photos are taken as they are. Finished cells are kept: stopped by Ctrl-C, the same command goes on.
+    and Koehler's photos are taken as they are. Finished cells are kept: stopped by Ctrl-C, the same command with
+    --force goes on.
 
     Example: cep bench blind --quick -o blind
     """
@@ -79,19 +80,18 @@ def speed(
     methods: Methods = "",
     gyro: Gyro = None,
     quick: Quick = False,
-    dask: Dask = None,
     cache: Cache = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write into.")] = Path("bench-speed"),
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Measure what an estimate costs: processor time, time and memory per photo, one after the other.
+    """Measure what an estimate costs: processor time, time and memory per photo, one after the other on one thread.
 
     Cells are those of cep bench blind with the same protocol, one motion per photo: a common --cache has them already.
 
     Example: cep bench speed --quick -o speed
     """
-    engine = Engine.of(output, cache=cache, workers=1, dask=dask)
+    engine = Engine.of(output, cache=cache, workers=1, dask=None)
     job = speed_job(output, engine, data=data, protocol=protocol, methods=methods, gyro=gyro, quick=quick, force=force)
     run_job(job, force=force, as_json=as_json)
 
@@ -144,6 +144,7 @@ def speed_job(
     force: bool,
 ) -> Job:
     """Plan the speed table; the parameters are the options of :func:`speed`."""
+    from cep.bench.blind.methods import UNUSUAL
     from cep.bench.blind.report import outputs, write_report
     from cep.bench.blind.run import one_each
     from cep.bench.blind.tables import speed_tables
@@ -158,8 +159,9 @@ def speed_job(
         all_warnings = [*warnings, *told(outcome)]
         tables = speed_tables(outcome.figures, title=title, seed=plan.protocol.seed)
         files = write_report(
-            output, "speed", tables, plan=plan, outcome=outcome, command=command, warnings=all_warnings, force=force
-        )
+            output, "speed", tables, plan=plan, outcome=outcome, command=command, warnings=all_warnings,
+            unmeasured={} if methods else UNUSUAL, force=force,
+        )  # fmt: skip
         return _part(title, command, tables, files, outcome, all_warnings)
 
     about = {"folder": output, "protocol": plan.protocol, "methods": names}

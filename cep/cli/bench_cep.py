@@ -55,7 +55,7 @@ def cep(
     """Compare codes by the photos they give: the paper's table III, and ours with real borders, light and directions.
 
     Every row takes the same sharp photos along the same motions, and every search has the same budget. Finished cells
-    are kept: stopped by Ctrl-C, the same command goes on.
+    are kept: stopped by Ctrl-C, the same command with --force goes on.
 
     Example: cep bench cep --quick --protocol ours -o coded
     """

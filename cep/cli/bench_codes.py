@@ -42,7 +42,7 @@ def codes(
 ) -> None:
     """Search against published codes, each at its own number of chips and open chips; one code for both figures.
 
-    Finished searches are kept: stopped by Ctrl-C, the same command goes on.
+    Finished searches are kept: stopped by Ctrl-C, the same command with --force goes on.
 
     Example: cep bench codes raskar-52 jeon-100 --time 60 -o codes
     """

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cep.cli.console import finish, progress, table
+from cep.cli.folders import end
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -108,6 +109,11 @@ def finish_bench(about: Mapping[str, object], part: Part, show: Callable[[Consol
     part : Part
     show : function that prints the tables
     as_json : bool
+
+    Raises
+    ------
+    typer.Exit
+        1 where a cell failed, 130 after Ctrl-C.
     """
     result = {
         **about,
@@ -124,6 +130,7 @@ def finish_bench(about: Mapping[str, object], part: Part, show: Callable[[Consol
         console.print(f"{folder}: {', '.join(part.files)}")
 
     finish(result, as_json=as_json, show=page)
+    end(missing=part.missing, failed=len(part.failures))
 
 
 def spelled(name: str, given: Mapping[str, object], *, quick: bool) -> str:

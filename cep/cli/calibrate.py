@@ -54,7 +54,8 @@ def calibrate(
     """Estimate the motion in one blurred photo, or in each photo of a folder.
 
     Writes trajectory.json, psf.npy, psf.mat, psf.png, map.png and preview.png; of a folder, into a folder for each
-    photo, named like it, and motions.csv. Finished photos are kept: stopped by Ctrl-C, the same command goes on.
+    photo, named like it, and motions.csv. Finished photos are kept: stopped by Ctrl-C, the same command with --force
+    goes on; of a photo that fails now, --force removes earlier files.
 
     Example: cep calibrate blurred.jpg -o motion
 

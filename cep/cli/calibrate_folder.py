@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cep.cli.console import progress
-from cep.cli.folders import NOT_REACHED, finish_folder, run_folder, summary_csv
+from cep.cli.folders import NOT_REACHED, discard, finish_folder, run_folder, summary_csv
 
 if TYPE_CHECKING:
     from cep.bench.engine import Outcome
@@ -102,6 +102,9 @@ def calibrate_folder(
     )
     failures |= {label: reason for (label,), reason in outcome.failures.items()}
     motions = _written(outcome, by_label, failures, target=target, gamma=gamma, seed=seed, force=force)
+    if force:
+        for label in failures:
+            discard(target / by_label[label].stem, CALIBRATION_FILES)
     rows = [
         {
             "photo": label,
@@ -111,6 +114,7 @@ def calibrate_folder(
         for label in by_label
     ]
     spelt = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
+    target.mkdir(parents=True, exist_ok=True)  # nothing is in it where every photo failed
     write_text(target / _SUMMARY, summary_csv((*_COLUMNS, *_MORE), spelt))
     finish_folder(
         {"folder": target, "summary": target / _SUMMARY, "method": method, "photos": motions, "seed": seed},

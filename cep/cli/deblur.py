@@ -35,7 +35,9 @@ def deblur(
     psf: Annotated[
         Path | None, typer.Option("--psf", help="Instead of a trajectory: a PSF as .npy, .mat or .png.")
     ] = None,
-    method: Annotated[str, typer.Option("--method", help="wiener, inverse, tv, l0 or tv-ring.")] = "wiener",
+    method: Annotated[
+        str, typer.Option("--method", help="wiener, inverse, tv, l0, tv-ring, or pnp (a trained denoiser).")
+    ] = "wiener",
     gamma: Gamma = "srgb",
     camera: CameraFile = None,
     photons: Photons = None,
@@ -70,8 +72,10 @@ def deblur(
         raise ValueError("--code: goes with --trajectory; a --psf file already holds the code")
     options = {}
     if camera is not None or photons is not None or read_noise is not None:
-        if method != "wiener":
-            raise ValueError(f'--camera, --photons, --read-noise: only the method "wiener" uses them, not "{method}"')
+        if method not in ("wiener", "pnp"):
+            raise ValueError(
+                f'--camera, --photons, --read-noise: only the methods "wiener" and "pnp" use them, not "{method}"'
+            )
         options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
     target = output or image.with_name(f"{image.stem}_sharp.png")
     claim([target], force=force)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cep.bench.cells import Cell
     from cep.bench.engine import Outcome
 
-__all__ = ["NOT_REACHED", "finish_folder", "only_of_folders", "run_folder", "summary_csv"]
+__all__ = ["NOT_REACHED", "discard", "end", "finish_folder", "only_of_folders", "run_folder", "summary_csv"]
 
 NOT_REACHED = "left out"
 
@@ -124,10 +124,34 @@ def finish_folder(
         console.print(escape(str(result["summary"])))
 
     finish({**result, "failures": failures, "missing": missing, "warnings": told}, as_json=as_json, show=show)
+    end(missing=missing, failed=len(failures))
+
+
+def end(*, missing: int, failed: int) -> None:
+    """End a command of many parts, whose outputs are written, with the exit code that tells how it went.
+
+    Raises
+    ------
+    typer.Exit
+        130 where Ctrl-C left parts out, else 1 where parts failed.
+    """
     if missing:
         raise typer.Exit(INTERRUPTED)
-    if failures:
+    if failed:
         raise typer.Exit(FAILURE)
+
+
+def discard(folder: Path, names: Sequence[str]) -> None:
+    """Remove an earlier run's files of something that fails now, and the folder where nothing else is in it.
+
+    Left there they would pass for results of this run.
+    """
+    if not folder.is_dir():
+        return
+    for name in names:
+        (folder / name).unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()
 
 
 def _state(row: Mapping[str, object]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cep.cli.folders import NOT_REACHED, finish_folder, run_folder, summary_csv
+from cep.cli.folders import NOT_REACHED, discard, finish_folder, run_folder, summary_csv
 from cep.cli.searching import Task, unplayable, warnings_of
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ _COLUMNS = {
     "mse_db": "MSE, dB",
     "seconds": "s",
 }
+_RESOLVED_PX = 1e4  # a path that tells any chips apart
 _MORE = ("chips", "duty", "bound", "gap", "steps", "interrupted", "proven", "bits", "warnings", "failure")
 
 
@@ -74,7 +75,7 @@ def optimize_folder(
     claim_folder(target, [_SUMMARY], force=force)
     for name in motions:
         claim_folder(target / name, [_CODE], force=force)
-    tasks, failures = _tasks(motions, task)
+    tasks, failures = _tasks(folder, motions, task)
     version = source_version(["cep.optimize"])
     cells = [
         Cell(
@@ -92,13 +93,15 @@ def optimize_folder(
     )
     failures |= {name: reason for (name,), reason in outcome.failures.items()}
     codes = _written(outcome, tasks, how, target=target, profile=profile, failures=failures)
-    if len(set(failures.values())) == 1 and set(failures) == set(motions):
-        raise ValueError(next(iter(failures.values())))  # what no motion suits is wrong with the options
+    if force:
+        for name in failures:
+            discard(target / name, [_CODE])
     rows = [
         {"motion": name, **codes.get(name, {}), "failure": failures.get(name, "" if name in codes else NOT_REACHED)}
         for name in motions
     ]
     spelt = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
+    target.mkdir(parents=True, exist_ok=True)  # nothing is in it where every motion failed
     write_text(target / _SUMMARY, summary_csv((*_COLUMNS, *_MORE), spelt))
     finish_folder(
         {"folder": target, "summary": target / _SUMMARY, "codes": codes, "seed": how.seed},
@@ -113,10 +116,11 @@ def optimize_folder(
 
 
 def _tasks(
-    motions: dict[str, Path], task: Callable[[StoredMotion, Path], Task]
+    folder: Path, motions: dict[str, Path], task: Callable[[StoredMotion, Path], Task]
 ) -> tuple[dict[str, Task], dict[str, str]]:
-    """Make every search, or tell why not."""
-    from motdiff.files import read_motion
+    """Make every search, or tell why not; what suits no motion whatever is wrong with the options, and raised."""
+    from motdiff.files import StoredMotion, read_motion
+    from motdiff.trajectory import Trajectory
 
     stored: dict[str, StoredMotion] = {}
     failures: dict[str, str] = {}
@@ -132,6 +136,12 @@ def _tasks(
             tasks[name] = task(motion, motions[name])
         except ValueError as error:
             failures[name] = str(error)
+    if stored and not tasks:
+        try:
+            task(StoredMotion(Trajectory.straight(_RESOLVED_PX)), folder)
+        except ValueError as error:
+            if all(failures[name] == str(error) for name in stored):
+                raise
     return tasks, failures
 
 

@@ -13,6 +13,7 @@ from scipy import signal
 
 from cep.restore.inverse import inverse_filter
 from cep.restore.l0 import l0, tv_less_ringing
+from cep.restore.pnp import pnp
 from cep.restore.spectral import channels_first, trimmed_psf
 from cep.restore.tv import tv
 from cep.restore.wiener import wiener
@@ -26,6 +27,7 @@ METHODS: Mapping[str, Callable[..., FloatArray]] = {
     "tv": tv,
     "l0": l0,
     "tv-ring": tv_less_ringing,
+    "pnp": pnp,
 }
 _CLIPPED = 0.995
 _WORTH_TELLING = 1e-3
@@ -68,7 +70,7 @@ def restore(photo: ArrayLike, psf: ArrayLike, *, method: str = "wiener", **optio
     psf : (S, S) array_like
         Light-true PSF, zero displacement at index ``size // 2``.
     method : str
-        "wiener", "inverse", "tv", "l0" or "tv-ring" (TV less its ringing).
+        "wiener", "inverse", "tv", "l0", "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser).
     **options
         Passed on to the method.
 

@@ -172,8 +172,8 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
     psf = _framed(kernels[found.best]) if level.factor == 1 else _psf_of(trajectories[0])
     warnings = [*found.warnings, *([] if uneven is None else [uneven])]
     confidence = found.confidence
-    length_px, extent_px = (getattr(trajectories[0], name) / level.factor for name in ("length_px", "extent_px"))
-    if length_px > max(_WEB_PX, _WEB_TURNS * extent_px):
+    length_px, extent_px = trajectories[0].length_px, trajectories[0].extent_px
+    if length_px > max(_WEB_PX * level.factor, _WEB_TURNS * extent_px):  # the limit is in pixels of what was searched
         confidence = min(confidence, _WEB_CONFIDENCE)
         warnings.append(
             f"the path found is {length_px:.0f} px long within {extent_px:.0f} px: more a web of noise than a motion"

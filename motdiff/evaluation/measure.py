@@ -20,7 +20,7 @@ from motdiff.metrics import (
     register_shift,
 )
 
-__all__ = ["FIGURES", "Measured", "Row", "measure_estimator", "measure_psf", "restored"]
+__all__ = ["FIGURES", "RESTORATION", "Measured", "Row", "measure_estimator", "measure_psf", "restored"]
 
 FloatArray = NDArray[np.float64]
 
@@ -31,6 +31,12 @@ _LEAST_WEIGHT, _MOST_WEIGHT = 2e-4, 2e-3
 _WEIGHT_PER_VARIANCE = 2.5
 _KAPPA = 2.0
 _NAN = math.nan
+
+RESTORATION = (
+    f"L0 gradients, whose weight is {_WEIGHT_PER_VARIANCE:g} times the variance of the noise found in the photo, "
+    f"{_LEAST_WEIGHT:g} (PMP's) at least and {_MOST_WEIGHT:g} at most"
+)
+"""What :func:`restored` does, in words for a report."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,8 @@ class Row:
     confidence : float
         As the estimator says, 0..1.
     cpu_s : float, seconds
-        Processor time of the estimate, all threads.
+        Processor time of the estimate, all threads, with what an estimate that was stopped and taken up again took
+        before.
     failure : str
         Why the estimator gave none; "" when it did.
     """
@@ -115,6 +122,8 @@ def measure_estimator(
 ) -> Measured:
     """Run an estimator on the photo and measure what it says; a ``ValueError`` makes a row with ``failure``.
 
+    An estimate that goes on from a checkpoint says in its details, as ``earlier_cpu_s``, what it took until then.
+
     Parameters
     ----------
     set_name : str
@@ -127,7 +136,7 @@ def measure_estimator(
     began_s, cpu_s = time.process_time(), _NAN
     try:
         estimate = estimator.estimate(case.photo)
-        cpu_s = time.process_time() - began_s
+        cpu_s = time.process_time() - began_s + _earlier_cpu_s(estimate)
         kernel = measure_psf(set_name, case, method, estimate.psf, restore=restore)
         path_mnc, path_px = _path_figures(case, estimate)
     except ValueError as error:
@@ -178,6 +187,11 @@ def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:
             inner=1,
         )
     return np.asarray(latent[0, :height, :width].double().clamp(0, 1).numpy(), dtype=np.float64)
+
+
+def _earlier_cpu_s(estimate: MotionEstimate) -> float:
+    told = estimate.details.get("earlier_cpu_s", 0.0)
+    return float(told) if isinstance(told, int | float) else 0.0
 
 
 def _path_figures(case: Case, estimate: MotionEstimate) -> tuple[float, float]:

@@ -17,14 +17,17 @@ SLOW_METHODS = ("selfdeblur", "blinddps")
 """Hours per photo on a CPU: run only where they are named."""
 
 METHODS = ("pmp", "motdiff", "motdiff-quick", "network", "parametric", "psf-diffusion", *SLOW_METHODS)
-"""Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS``, ``selfdeblur:ITERATIONS``,
-and ``blinddps:FOLDER`` of weights, without which blinddps tells only what it needs."""
+"""Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both take one DDIM step where
+none are named), ``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps tells only what
+it needs."""
 
 _FIXED = ("pmp", "parametric", "psf-diffusion", *SLOW_METHODS)  # which the weights of MoTDiff do not change
 
 
 class NetworkAlone:
-    """One draw of the network as it is: no judgement, no refinement, no fall-back; what the paper measures.
+    """The network's answer as it is: no judgement, no refinement, no fall-back.
+
+    The paper measures draws of many steps; one step, as MoTDiff takes here, gives the mean guess and a higher MNC.
 
     Parameters
     ----------
@@ -36,7 +39,7 @@ class NetworkAlone:
     seed : int
     """
 
-    def __init__(self, weights: Path | None = None, *, sampler: str = "ddim", steps: int = 10, seed: int = 0) -> None:
+    def __init__(self, weights: Path | None = None, *, sampler: str = "ddim", steps: int = 1, seed: int = 0) -> None:
         import torch
 
         from motdiff.diffusion import cosine_schedule, samples

@@ -9,8 +9,9 @@ import pytest
 from scipy.io import savemat
 
 from cep.bench import sources
+from cep.bench.blind import report
 from cep.bench.blind.cases import labels_of, real_pair, real_photos, shot_of, taken
-from cep.bench.blind.methods import chosen, label_of, version_of
+from cep.bench.blind.methods import SMALL_BUDGETS, budget_warning, chosen, label_of, version_of
 from cep.bench.blind.protocol import Motions, Protocol
 from cep.bench.blind.run import one_each, planned
 from cep.bench.blind.shakes import drawn_shakes, synthetic_trace
@@ -19,9 +20,11 @@ from cep.bench.blind.usage import Watched
 from cep.bench.blind.work import measure_levin, measure_real, measure_simulated, psf_from_text, psf_to_text
 from cep.bench.sources import source_version
 from cep.images import read_image, write_image
+from motdiff.crops import luminance
 from motdiff.metrics import mnc
-from motdiff.simulate import blur_symmetric, blur_valid
+from motdiff.simulate import blur_symmetric, blur_valid, valid_window
 from motdiff.trajectory import Trajectory
+from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS, PSF_WEIGHTS, read_card
 
 TINY = Protocol("tiny", 2, 2, crop_px=96, psf_px=32, motion=Motions(max_length_px=16.0))
 
@@ -140,7 +143,15 @@ def test_a_photo_is_its_sharp_scene_blurred(scene, borders, blur):
     inner = blur_valid(case.sharp, case.psf)
     np.testing.assert_allclose(case.photo[15:-16, 15:-16], inner, atol=1e-12)
     if borders == "symmetric":
-        np.testing.assert_allclose(case.photo, blur(case.sharp, case.psf), atol=1e-12)
+        expected = blur(case.sharp, case.psf)
+    else:  # of the whole scene, at the place of the crop: light from beyond the photo's border is in it
+        whole = luminance(read_image(scene, gamma="linear"))
+        blurred = np.full(whole.shape, np.nan)
+        blurred[valid_window(whole.shape, case.psf.shape)] = blur(whole, case.psf)
+        places = np.lib.stride_tricks.sliding_window_view(whole, case.sharp.shape)
+        ((row, column),) = np.argwhere((places == case.sharp).all(axis=(2, 3)))
+        expected = blurred[row : row + 96, column : column + 96]
+    np.testing.assert_allclose(case.photo, expected, atol=1e-12)
 
 
 def test_noise_is_that_of_the_light_and_the_sensor(scene):
@@ -233,6 +244,11 @@ def test_koehlers_photos_have_no_truth(tmp_path):
     assert all(cell.arguments["sharp"] is None for cell in plan.cells)
 
 
+def test_real_photos_are_counted_with_their_scenes(tmp_path):
+    write_levin(tmp_path)
+    assert report._counts(planned(TINY, ["pmp"], folder=tmp_path)) == "2 photos with real blur, of 1 scene"
+
+
 def test_a_file_that_is_no_mat_file_is_named(tmp_path):
     (tmp_path / "im01_ker01.mat").write_bytes(b"something else, and long enough to look at " * 9)
     with pytest.raises(ValueError, match=r"im01_ker01\.mat: cannot be read as a \.mat file"):
@@ -318,6 +334,21 @@ def test_every_method_has_a_version_of_its_own_code():
     assert version_of("network:ddpm:50") == version_of("network")
 
 
+@pytest.mark.parametrize("method", ["pmp", "motdiff", "delta", "true-kernel"])
+@pytest.mark.parametrize(
+    "module",
+    [
+        *("cep.bench.photos", "cep.images", "motdiff.simulate", "motdiff.crops", "motdiff.metrics"),
+        *("motdiff.evaluation.sets", "motdiff.trajectory", "cep.bench.blind.usage"),
+    ],
+)
+def test_a_version_changes_with_what_takes_and_measures_the_photo(monkeypatch, module, method):
+    first, read = version_of(method), sources._meaning
+    assert version_of(method) == first
+    monkeypatch.setattr(sources, "_meaning", lambda name: "another" if name == module else read(name))
+    assert version_of(method) != first
+
+
 def test_a_folder_of_weights_counts_by_its_content_and_is_named_without_its_place(tmp_path):
     (tmp_path / "priors").mkdir()
     (tmp_path / "priors" / "image.pt2").write_bytes(b"1")
@@ -342,6 +373,18 @@ def test_methods_are_checked_before_the_work(monkeypatch, tmp_path):
     assert warnings == ["parametric is left out: none.safetensors is not in this package"]
 
 
+def test_smaller_budgets_are_told_as_the_weights_say():
+    """Samples are updates times the batch, in the header of the weights."""
+    for method, path in (("parametric", PATH_WEIGHTS), ("psf-diffusion", PSF_WEIGHTS)):
+        card = read_card(path)
+        samples = card["run"]["steps"] * card["config"]["optimiser"]["batch"]
+        assert samples == SMALL_BUDGETS[method]
+        assert f"{method} {samples:,} from 704" in budget_warning(["pmp", f"{method}"])
+    card = read_card(DEFAULT_WEIGHTS)
+    assert f"{card['run']['steps'] * card['config']['optimiser']['batch']:,}" in budget_warning(["psf-diffusion:4"])
+    assert budget_warning(["pmp", "motdiff", "delta"]) is None
+
+
 # -- tables -----------------------------------------------------------------------------------------------------------
 
 
@@ -354,7 +397,7 @@ def spread(method, function):
     return {(method, f"p{i}", f"m{j}"): function(i, j) for i in range(6) for j in range(6)}
 
 
-def test_intervals_are_the_wider_of_those_over_photos_and_over_motions():
+def test_intervals_count_photos_and_motions():
     rng = np.random.default_rng(0)
     by_motion = rng.random(6)
     cells = figures(spread("delta", lambda _i, j: by_motion[j]) | spread("motdiff", lambda i, _j: by_motion[i]))

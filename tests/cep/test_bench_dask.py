@@ -189,9 +189,10 @@ def test_who_listens_may_be_no_scheduler(tmp_path, reply, capfd):
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "http://127.0.0.1:8786", "tcp://127.0.0.1:port"])
 def test_a_dead_address_is_one_line(tmp_path, address, capfd):
     with pytest.raises(ValueError, match=f"dask: no scheduler answers at {address}") as caught:
-        run_cells(cells(tmp_path / "log"), cache=tmp_path / "cache", dask=address)
+        run_cells(cells(tmp_path / "log"), cache=tmp_path / "out" / "cells", dask=address)
     assert "\n" not in str(caught.value)
     assert capfd.readouterr().err == ""
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_scheduler_without_workers(cluster, tmp_path, monkeypatch):

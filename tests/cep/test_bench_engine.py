@@ -185,7 +185,26 @@ def test_a_full_disk_stops_processes(cache, monkeypatch):
     monkeypatch.setattr(Path, "write_text", full)
     with pytest.raises(OSError, match="No space left"):
         run_cells(of(bench_work.fails, 9), cache=cache, workers=2)
-    assert list(cache.iterdir()) == []
+    assert not cache.exists()
+
+
+def test_what_is_raised_leaves_no_empty_folder_and_removes_no_other(tmp_path):
+    def at_once(_fraction, _note):
+        raise RuntimeError("stop")
+
+    def at_the_end(fraction, _note):
+        if fraction == 1:
+            raise RuntimeError("stop")
+
+    (tmp_path / "own").mkdir()
+    for stop, cache in (
+        (at_once, "a/b/cells"), (at_once, "own/cells"), (at_once, "own"), (at_the_end, "kept/cells"),
+    ):  # fmt: skip
+        with pytest.raises(RuntimeError, match="stop"):
+            run_cells(of(bench_work.fails, 3), cache=tmp_path / cache, progress=stop)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["kept", "own"]
+    assert list((tmp_path / "own").iterdir()) == []
+    assert len(list((tmp_path / "kept/cells").iterdir())) == 1
 
 
 def every_digit(text):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cep.bench.layout import made_json
 from cep.bench.photos import bundled_photos, crop, layout_of, photo_folder, pick
 from cep.images import read_image, write_image
 
@@ -31,6 +32,19 @@ def test_a_folder_of_photos_is_listed_in_order_with_its_subfolders(tmp_path):
     assert layout_of(tmp_path) == "photos"
     assert list(photo_folder(tmp_path)) == sorted(made)
     assert photo_folder(str(tmp_path)) == photo_folder(tmp_path)
+
+
+def test_pictures_of_benchmarks_are_no_photos(tmp_path):
+    made = [photo(tmp_path / name) for name in ("cep.png", "shots/a.png", "shots/b.png", "shots/c.png")]
+    photo(tmp_path / "bench" / "cep.png")
+    (tmp_path / "bench" / "cep.json").write_text(made_json({}, command="", seed=0, machines=[], warnings=[]))
+    # what others keep beside photos under the same name
+    (tmp_path / "shots" / "a.json").write_text('{"schema": "annotations/1"}')
+    (tmp_path / "shots" / "b.json").write_bytes(b"\xff")
+    (tmp_path / "shots" / "c.json").mkdir()
+    assert list(photo_folder(tmp_path)) == sorted(made)
+    with pytest.raises(ValueError, match="holds no photos"):
+        photo_folder(tmp_path / "bench")
 
 
 def test_only_the_sharp_half_of_gopro_and_rsblur_is_taken(tmp_path):

@@ -123,6 +123,43 @@ def test_photos_that_fail_are_told_by_name_and_the_others_kept(cep, shots, guess
     assert guesses.calls == calls  # a photo of the same content as another is estimated already
 
 
+def test_of_a_photo_that_fails_now_nothing_older_stays(cep, shots, guesses):
+    whole = Path("shots/a.png").read_bytes()
+    cep.succeeds(*REFERENCE)
+    Path("shots_motion/b/code.json").write_text("mine")
+    Path("shots/a.png").write_bytes(whole[:100])
+    Path("shots/b.tif").write_bytes(b"rubbish")
+    cep(*REFERENCE, "--json", "--force")
+    assert (cep.code, set(cep.json["failures"])) == (FAILURE, {"a.png", "b.tif"})
+    assert not Path("shots_motion/a").exists()
+    assert [path.name for path in Path("shots_motion/b").iterdir()] == ["code.json"]
+    assert {path.name for path in Path("shots_motion/c[1].x").iterdir()} == set(CALIBRATION_FILES)
+
+
+def test_stopped_it_removes_nothing(cep, shots, guesses):
+    cep.succeeds(*REFERENCE)
+    before = Path("shots_motion/c[1].x/trajectory.json").read_bytes()
+    guesses.stops = guesses.calls + 2
+    cep(*REFERENCE, "--json", "--force", "--seed", "1")
+    assert (cep.code, cep.json["missing"]) == (INTERRUPTED, 2)
+    assert Path("shots_motion/c[1].x/trajectory.json").read_bytes() == before
+
+
+def test_where_every_photo_fails_each_is_told(cep, shots, guesses):
+    for name in MOTIONS:
+        Path("shots", name).write_bytes(b"rubbish")
+    cep(*REFERENCE, "--json", "--cache", "cells")
+    assert (cep.code, list(cep.json["failures"])) == (FAILURE, list(MOTIONS))
+    assert [row["photo"] for row in rows_of("shots_motion/motions.csv")] == list(MOTIONS)
+
+
+def test_a_dead_cluster_leaves_nothing(cep, shots, guesses, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("cep.bench.spread._CONNECT_S", 0.3)
+    assert "dask: no scheduler answers" in cep.refuses(*REFERENCE, "--dask", "tcp://127.0.0.1:9")
+    assert not Path("shots_motion").exists()
+
+
 def test_people_see_names_whole_and_reasons(cep, shots, guesses):
     long = "a photo's very long name with [red] brackets, of a camera that counts to 00000001.png"
     Path("shots/a.png").rename(f"shots/{long}")

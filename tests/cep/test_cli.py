@@ -390,7 +390,7 @@ def test_deblur_with_a_psf_and_without_a_code(cep, workplace):
     from cep.files import write_psf
 
     write_psf(".", read_motion("trajectory.json").trajectory.psf())
-    for method in ("wiener", "inverse", "tv", "l0"):
+    for method in ("wiener", "inverse", "tv", "l0", "pnp"):
         found = cep.succeeds("deblur", "blurred.png", "--psf", "psf.npy", "--method", method, "-o", f"{method}.png")
         assert found["residual"] < 0.05
     assert cep.succeeds("deblur", "blurred.png", "--trajectory", "trajectory.json")["direction"] == "unknown"

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from cep.bench.codes import code_cells, code_rows
+from cep.cli.console import FAILURE, INTERRUPTED
 from cep.code import ShutterCode
 
 
@@ -76,12 +77,29 @@ def test_half_a_search_is_not_kept(cep, workplace, monkeypatch):
 
     command = ("bench", "codes", "bdinr-8", "--time", "0.1", "-o", "codes")
     monkeypatch.setattr("cep.bench.codes.anneal", interrupted)
-    found = cep.succeeds(*command)
-    assert (found["missing"], found["tables"]) == (1, {"codes": []})
-    assert any("--force goes on" in warning for warning in found["warnings"])
+    cep(*command, "--json")
+    assert (cep.code, cep.err) == (INTERRUPTED, "cep: interrupted\n")
+    assert (cep.json["missing"], cep.json["tables"]) == (1, {"codes": []})
+    assert any("--force goes on" in warning for warning in cep.json["warnings"])
+    assert Path("codes/codes.md").is_file()
     assert list(Path("codes/cells").iterdir()) == []
     monkeypatch.setattr("cep.bench.codes.anneal", real)
     assert len(cep.succeeds(*command, "--force")["tables"]["codes"]) == 1
+
+
+def test_a_search_that_fails_is_told_beside_the_others(cep, workplace, monkeypatch):
+    real = code_rows.__globals__["anneal"]
+
+    def anneal(problem, **options):
+        if problem.chips == 13:
+            raise ValueError("code: too short")
+        return real(problem, **options)
+
+    monkeypatch.setattr("cep.bench.codes.anneal", anneal)
+    cep("bench", "codes", "bdinr-8", "barker-13", "--time", "0.1", "--workers", "1", "-o", "codes", "--json")
+    assert cep.code == FAILURE
+    assert cep.json["failures"] == {"barker-13": "code: too short"}
+    assert [row["name"] for row in json.loads(Path("codes/codes.json").read_text())["codes"]] == ["bdinr-8"]
 
 
 def test_another_budget_is_another_cell():

@@ -9,6 +9,7 @@ from cep.bench.index import INDEX
 from cep.cli import bench
 from cep.cli.bench_codes import codes_job
 from cep.cli.bench_options import Engine
+from cep.cli.console import FAILURE, INTERRUPTED
 
 NAMES = {"first": "bdinr-8", "second": "barker-13"}
 ALL = ("bench", "--quick", "--workers", "1", "-o", "out")
@@ -75,7 +76,7 @@ def test_people_see_the_tables(cep, tables):
 def test_a_failed_cell_is_named_and_the_exit_code_tells(cep, tables, monkeypatch):
     mend = failing(monkeypatch, ValueError("code: too short"))
     cep(*ALL, "--json")
-    assert cep.code == 1
+    assert cep.code == FAILURE
     assert cep.err == f"cep: 1 cells failed: out/{INDEX} names them\n"
     assert cep.json["failures"] == {"second": {"barker-13": "code: too short"}}
     assert len(cep.json["tables"]["first"]["codes"]) == 1
@@ -88,8 +89,9 @@ def test_stopped_it_writes_what_is_there_and_goes_on_later(cep, tables, monkeypa
     monkeypatch.setitem(NAMES, "first", "barker-13")
     monkeypatch.setitem(NAMES, "second", "bdinr-8")
     mend = failing(monkeypatch, KeyboardInterrupt())
-    found = cep.succeeds(*ALL)
-    assert (found["missing"], found["unmade"]) == ({"first": 1}, ["second"])
+    cep(*ALL, "--json")
+    assert (cep.code, cep.err) == (INTERRUPTED, "cep: interrupted\n")
+    assert (cep.json["missing"], cep.json["unmade"]) == ({"first": 1}, ["second"])
     text = Path("out", INDEX).read_text()
     assert "stopped early" in text
     assert "second is not measured" in text
@@ -97,6 +99,25 @@ def test_stopped_it_writes_what_is_there_and_goes_on_later(cep, tables, monkeypa
     mend()
     whole = cep.succeeds(*ALL, "--force")
     assert (whole["missing"], whole["unmade"]) == ({}, [])
+
+
+def test_a_cost_is_never_measured_on_a_cluster(monkeypatch):
+    """Beside others, or on machines of several kinds, times could not be compared."""
+    engines = {}
+    for module, name in (
+        (bench.bench_blind, "speed_job"), (bench.bench_blind, "blind_job"), (bench.bench_cep, "cep_job"),
+        (bench.bench_codes, "codes_job"),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, lambda folder, engine, **_options: engines.update({folder.name: engine}))
+    given = Engine(Path("cells"), 2, "tcp://127.0.0.1:9")
+    bench._jobs(Path("out"), given, data=None, gyro=None, quick=True, force=False)
+    assert engines.pop("speed") == Engine(Path("cells"), 1, None)
+    assert engines == dict.fromkeys(["codes", "blind-paper", "blind-ours", "cep-paper", "cep-ours"], given)
+
+
+def test_help_tells_how_a_stopped_run_goes_on(cep):
+    for command in (("bench",), ("bench", "blind"), ("bench", "cep"), ("bench", "codes"), ("calibrate",)):
+        assert "the same command with --force goes on" in " ".join(cep(*command, "--help").out.split())
 
 
 def test_options_alone_run_and_no_arguments_help(cep, tables):

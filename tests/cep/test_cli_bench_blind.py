@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cep.bench.blind import work
+from cep.cli.console import FAILURE, INTERRUPTED
 from cep.images import read_image, write_image
 from motdiff.estimators.base import MotionEstimate
 from motdiff.quadratic import nearest_quadratic
@@ -97,6 +98,10 @@ def test_a_real_estimator_from_photos_to_every_output(cep, studio):
     assert (kept["seed"], kept["machines"][0]["versions"]["numpy"]) == (0, np.__version__)
     text = Path("out/blind.md").read_text()
     assert "| pmp |" in text
+    assert "2 photos, each with 2 motions.\n" in text
+    assert "restored, up to shift, by L0 gradients, whose weight is 2.5 times the variance of the noise" in text
+    assert "scikit-image" not in text
+    assert "smaller training budgets" not in text
     assert str(studio) not in text + Path("out/blind.json").read_text()
     height, width = read_image("out/blind.png").shape[:2]
     assert width > height  # two lines of four
@@ -116,6 +121,19 @@ def test_finished_cells_are_found_again_and_a_quick_run_is_a_part(cep, studio, g
     assert list(rows) == ["pmp"]
     assert rows["pmp"]["cpu_s"]["n"] == rows["pmp"]["wall_s"]["n"] == 2
     assert not Path("speed/speed.png").exists()
+    text = Path("speed/speed.md").read_text()
+    assert "PSNR" not in text
+    assert "2 photos, 2 motions, 2 pairs of them.\n" in text
+
+
+def test_what_keeps_figures_from_a_claim_is_told(cep, studio, guesses):
+    carried = (*BLIND[:2], "--protocol", "tiny.toml", "--methods", "pmp,parametric", "--workers", "1", "--quick")
+    cep.succeeds(*carried, "-o", "out")
+    text, kept = Path("out/blind.md").read_text(), json.loads(Path("out/blind.json").read_text())
+    for said in ("photos are those of scikit-image: too few", "smaller training budgets than MoTDiff's 62,400"):
+        assert text.count(f"- {said}") == 1
+        assert any(warning.startswith(said) for warning in kept["warnings"])
+    assert "2 photos, each with 1 motion.\n" in text
 
 
 def test_cells_of_another_engine_are_made_again_and_told(cep, studio, guesses):
@@ -129,9 +147,10 @@ def test_cells_of_another_engine_are_made_again_and_told(cep, studio, guesses):
 
 def test_stopped_it_writes_what_is_there_and_goes_on_later(cep, studio, guesses):
     guesses.stops = 3
-    found = cep.succeeds(*BLIND, "-o", "out")
-    assert found["missing"] > 0
-    assert any("stopped early" in warning and "--force goes on" in warning for warning in found["warnings"])
+    cep(*BLIND, "-o", "out", "--json")
+    assert (cep.code, cep.err) == (INTERRUPTED, "cep: interrupted\n")
+    assert cep.json["missing"] > 0
+    assert any("stopped early" in warning and "--force goes on" in warning for warning in cep.json["warnings"])
     assert "stopped early" in Path("out/blind.md").read_text()
     whole = cep.succeeds(*BLIND, "-o", "out", "--force")
     assert whole["missing"] == 0
@@ -140,7 +159,9 @@ def test_stopped_it_writes_what_is_there_and_goes_on_later(cep, studio, guesses)
 
 def test_a_failed_estimate_is_told_and_tried_again(cep, studio, guesses):
     guesses.fails = 2
-    found = cep.succeeds(*BLIND, "-o", "out")
+    cep(*BLIND, "-o", "out", "--json")
+    assert cep.code == FAILURE
+    found = cep.json
     assert list(found["failures"].values()) == ["photo: too dark"]
     assert any("1 of 28 cells failed" in warning for warning in found["warnings"])
     assert found["tables"]["Blind, tiny, no noise"]["pmp"]["mnc"]["n"] == 3
@@ -149,7 +170,9 @@ def test_a_failed_estimate_is_told_and_tried_again(cep, studio, guesses):
 
 
 def test_a_method_that_never_answers_is_told_with_its_reason(cep, studio, guesses):
-    found = cep.succeeds(*BLIND, "--methods", "pmp,blinddps", "-o", "out", "--quick")
+    cep(*BLIND, "--methods", "pmp,blinddps", "-o", "out", "--quick", "--json")
+    assert cep.code == FAILURE
+    found = cep.json
     assert found["tables"]["Blind, tiny, no noise"]["blinddps"] == {
         figure: {"n": 0, "mean": None, "median": None, "interval": None, "bold": False}
         for figure in found["tables"]["Blind, tiny, no noise"]["pmp"]
@@ -194,6 +217,27 @@ def test_speed_leaves_no_figure_and_an_older_one_goes(cep, studio, guesses):
     assert {path.suffix for path in Path("out").glob("speed.*")} == {".md", ".csv", ".json"}
 
 
+def test_speed_ends_as_the_others_do(cep, studio, guesses):
+    guesses.fails = 1
+    cep(*SPEED, "-o", "out", "--json")
+    assert (cep.code, list(cep.json["failures"].values())) == (FAILURE, ["photo: too dark"])
+    guesses.calls, guesses.fails, guesses.stops = 0, 0, 1
+    cep(*SPEED, "-o", "out", "--json", "--force")
+    assert (cep.code, cep.json["missing"]) == (INTERRUPTED, 1)
+    assert Path("out/speed.md").is_file()
+
+
+def test_speed_tells_which_methods_it_leaves_out_and_takes_no_cluster(cep, studio, guesses, monkeypatch):
+    monkeypatch.setattr("cep.bench.blind.methods.USUAL", ("pmp",))
+    cep.succeeds(*SPEED[:-2], "--quick", "-o", "out")
+    text = Path("out/speed.md").read_text()
+    assert "selfdeblur is not measured: takes hours a photo." in text
+    assert "blinddps is not measured: needs weights" in text
+    cep.succeeds(*SPEED, "--quick", "-o", "named")  # who names methods knows what is left out
+    assert "not measured" not in Path("named/speed.md").read_text()
+    assert "--dask" in cep.refuses(*SPEED, "--dask", "tcp://127.0.0.1:9", "-o", "other")
+
+
 def swapped(_studio):
     for half, image in (("blur", np.random.default_rng(0).random((100, 100))), ("sharp", np.full((100, 100), 0.5))):
         Path("gopro/GOPR01", half).mkdir(parents=True)
@@ -235,4 +279,4 @@ def test_refusals(cep, studio, guesses, options, prepared, message):
         prepared(studio)
     assert message in cep.refuses(*BLIND, "-o", "out", *options)
     assert guesses.calls == 0
-    assert not Path("out/blind.md").exists()
+    assert not Path("out").exists()

@@ -1,6 +1,7 @@
 """``cep optimize --each``: the code of the single command for each motion, what fails is told, what stops goes on."""
 
 import csv
+import shutil
 from pathlib import Path
 
 import pytest
@@ -77,6 +78,50 @@ def test_motions_that_fail_are_told_by_name_and_the_others_kept(cep, motions):
     assert "12 are too many for a path of 2.0 px" in failures["c"]
     assert {row["motion"]: row["failure"] for row in rows_of("codes/codes.csv") if row["failure"]} == failures
     assert sorted(path.name for path in Path("codes").iterdir()) == ["a", "cells", "codes.csv"]
+
+
+@pytest.mark.parametrize("damaged", [["a"], list(MOTIONS)])
+def test_damaged_motions_keep_their_names_however_many(cep, motions, damaged):
+    for name in MOTIONS:
+        if name in damaged:
+            Path("motions", name, "trajectory.json").write_text("{")
+        else:
+            shutil.rmtree(Path("motions", name))
+    if damaged == ["a"]:
+        assert list(Path("motions").glob("*/trajectory.json")) == [Path("motions/a/trajectory.json")]
+    cep(*EACH, "--json", "-o", "codes")
+    assert (cep.code, list(cep.json["failures"])) == (FAILURE, damaged)
+    assert all(reason.startswith("not a JSON file") for reason in cep.json["failures"].values())
+    assert [row["motion"] for row in rows_of("codes/codes.csv")] == damaged
+    cep(*EACH, "-o", "codes", "--force")
+    assert [line.split(": not")[0] for line in cep.err.splitlines()] == [f"cep: warning: {name}" for name in damaged]
+
+
+def test_motions_that_all_fail_for_the_same_reason_keep_their_names(cep, motions):
+    for name in MOTIONS:
+        write_motion(f"motions/{name}/trajectory.json", StoredMotion(Trajectory.straight(2.0)))
+    cep(*EACH, "--json")
+    assert (cep.code, list(cep.json["failures"])) == (FAILURE, list(MOTIONS))
+    assert len(set(cep.json["failures"].values())) == 1
+
+
+def test_what_is_wrong_with_the_options_is_one_line_whatever_else_is_wrong(cep, motions):
+    Path("motions/a/trajectory.json").write_text("{")
+    Path("motions/c/code.json").write_text("precious")
+    line = cep.refuses(*EACH, "--speed", "1.2:0.8", "--force")
+    assert line.startswith("cep: speed: factors must be above 0 and in order")
+    assert Path("motions/c/code.json").read_text() == "precious"
+    assert not Path("motions/codes.csv").exists()
+
+
+def test_of_a_motion_that_fails_now_no_older_code_stays(cep, motions):
+    cep.succeeds(*EACH)
+    Path("motions/a/trajectory.json").write_text("{")
+    write_motion("motions/c/trajectory.json", StoredMotion(Trajectory.straight(2.0)))
+    cep(*EACH, "--json", "--force")
+    assert (cep.code, list(cep.json["codes"])) == (FAILURE, ["b[1]"])
+    assert sorted(path.parent.name for path in Path("motions").glob("*/code.json")) == ["b[1]"]
+    assert len(list(Path("motions").glob("*/trajectory.json"))) == 3
 
 
 def test_stopped_it_writes_what_is_finished_and_goes_on(cep, motions, monkeypatch):

@@ -227,6 +227,31 @@ def test_a_web_is_no_motion_however_sure_the_search_is():
     assert (long.confidence, long.warnings) == (0.98, ())
 
 
+def test_a_web_found_at_half_size_is_told_of_in_pixels_of_the_photo():
+    web = np.zeros((KERNEL_PX, KERNEL_PX))
+    web[4:35:6, 4:35] = web[4:35, 4:35:6] = 1
+    whole, _ = found_in(noise(100, 100), FakeSearch((web / web.sum(), 0.98)))
+    halved, _ = found_in(noise(300, 300), FakeSearch((LONG, 0.1), (web / web.sum(), 0.98)))
+    assert halved.details["scale"] == 0.5
+    (at_once, at_half) = (
+        [float(word) for word in estimate.warnings[0].split() if word.isdigit()] for estimate in (whole, halved)
+    )
+    assert at_half == pytest.approx([2 * px for px in at_once], abs=1)
+    path = halved.trajectories[0]
+    assert at_half == pytest.approx([path.length_px, path.extent_px], abs=0.5)
+
+
+def test_a_tangle_is_a_web_by_its_length_where_it_was_searched():
+    """Of 130 px at most in the photo but half of that where it was found: no web, however many turns it takes."""
+    web = np.zeros((KERNEL_PX, KERNEL_PX))
+    web[14:25:5, 14:25] = web[14:25, 14:25:5] = 1
+    estimate, _ = found_in(noise(300, 300), FakeSearch((LONG, 0.1), (web / web.sum(), 0.98)))
+    path = estimate.trajectories[0]
+    assert path.length_px > max(120, 4 * path.extent_px)
+    assert path.length_px < 240
+    assert not any("web" in warning for warning in estimate.warnings)
+
+
 def test_one_blur_in_all_crops_is_no_warning():
     estimate, search = found_in(noise(500, 700))
     assert len(search.alone) == 1

@@ -1,13 +1,17 @@
 """Jobs side by side: the order of their results, their threads and gradients, and what happens when one fails."""
 
+import subprocess
+import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 import torch
 
 from motdiff import parallel
-from motdiff.parallel import side_by_side
+from motdiff.parallel import one_thread, side_by_side
 
 
 @pytest.fixture(autouse=True)
@@ -42,6 +46,11 @@ def test_as_many_run_at_a_time_as_there_are_cores_and_the_environment_allows(mon
     cores(monkeypatch, count)
     if limit is not None:
         monkeypatch.setenv("OMP_NUM_THREADS", limit)
+    assert most_at_a_time(jobs, expected) == expected
+
+
+def most_at_a_time(jobs, expected):
+    """Run jobs that wait until as many as expected are there."""
     lock, running, most = threading.Lock(), 0, 0
     together = threading.Barrier(expected)
 
@@ -51,11 +60,44 @@ def test_as_many_run_at_a_time_as_there_are_cores_and_the_environment_allows(mon
             running += 1
             most = max(most, running)
         together.wait(10)
+        time.sleep(0.02)  # one too many would be seen
         with lock:
             running -= 1
 
     side_by_side([job] * jobs)
-    assert most == expected
+    return most
+
+
+@pytest.mark.parametrize("limit", [None, "4"])
+def test_one_thread_is_one_job_at_a_time_and_ends(monkeypatch, limit):
+    cores(monkeypatch, 4)
+    if limit is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", limit)
+
+    def alone():
+        with one_thread():
+            assert torch.get_num_threads() == 1
+            with one_thread():
+                assert most_at_a_time(4, 1) == 1
+            assert most_at_a_time(4, 1) == 1
+            assert torch.get_num_threads() == 1
+            raise ValueError("no kernel")
+
+    with pytest.raises(ValueError, match="no kernel"):  # it ends however it is left
+        alone()
+    assert torch.get_num_threads() == 3
+    assert most_at_a_time(4, 4) == 4
+
+
+def test_one_thread_limits_nobody_else(monkeypatch):
+    cores(monkeypatch, 2)
+    with one_thread(), ThreadPoolExecutor(1) as other:
+        assert other.submit(most_at_a_time, 2, 2).result() == 2
+
+
+def test_whoever_only_imports_it_waits_for_no_torch():
+    code = "import sys, motdiff.parallel, cep.calibrate_folder; assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
 
 
 def test_each_job_has_one_thread_and_no_gradients(monkeypatch):

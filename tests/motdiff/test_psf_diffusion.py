@@ -211,7 +211,7 @@ def test_they_draw_the_same_psf_for_a_seed_and_know_something(photo):
     assert found.psf.sum() == pytest.approx(1)
     at = np.arange(len(found.psf)) - len(found.psf) // 2
     assert max(abs(found.psf.sum(axis=axis) @ at) for axis in (0, 1)) <= 0.51
-    assert found.details == {"steps": 10}
+    assert found.details == {"steps": 1}
     for estimate in (found, other):
         assert mnc_subpixel(estimate.psf, BENT.psf()) > mnc_subpixel(delta(), BENT.psf()) + 0.2
     drawn = found.trajectories[0]

@@ -1,5 +1,6 @@
 """SelfDeblur fits what it says, can be stopped at any moment, and refuses what it cannot use."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -7,8 +8,11 @@ import pytest
 import torch
 
 from motdiff.estimators.selfdeblur import SelfDeblurConfig, SelfDeblurEstimator
+from motdiff.estimators.selfdeblur import estimator as estimator_module
 from motdiff.estimators.selfdeblur.fit import JointFit
+from motdiff.evaluation.measure import measure_estimator
 from motdiff.evaluation.methods import METHODS, SLOW_METHODS, named_estimators
+from motdiff.evaluation.sets import Case
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
 
@@ -135,7 +139,7 @@ def test_a_resumed_fit_is_bit_equal(tmp_path, done):
     pieces = [first.advance() for _ in range(done)]
     first.save(tmp_path / "state")
     second = fit_of(QUICK)
-    assert second.resume(tmp_path / "state")
+    assert second.resume(tmp_path / "state") == 0.0
     assert second.iteration == done
     assert pieces + [second.advance() for _ in range(6 - done)] == straight_on
     assert torch.equal(second.kernel(), whole.kernel())
@@ -156,8 +160,58 @@ def test_a_stopped_estimate_goes_on_and_cleans_up(tmp_path):
     again = SelfDeblurEstimator(**options, progress=seen.append).estimate(PHOTO)
     assert seen == [5 / 6, 1]
     np.testing.assert_array_equal(again.psf, expected.psf)
-    assert again.details == expected.details
+    assert expected.details["earlier_cpu_s"] == 0
+    assert again.details == {**expected.details, "earlier_cpu_s": again.details["earlier_cpu_s"]}
     assert len(list(folder.iterdir())) == 2
+
+
+def test_processor_time_before_a_stop_counts(tmp_path, monkeypatch):
+    """With a clock that goes on 7 s after each save: all counts once, but for each stop's last 7 s, not yet saved."""
+    now = [0.0]
+    monkeypatch.setattr(time, "process_time", lambda: now[0])
+
+    def ticking(stop=None):
+        def progress(share):
+            now[0] += 7.0
+            if stop is not None:
+                stop_at(stop, QUICK)(share)
+
+        return SelfDeblurEstimator(config=QUICK, checkpoints=tmp_path, saved_every_s=0.0, progress=progress)
+
+    case = Case("a", PHOTO, np.pad(PSF, 2))
+    for stop in (2, 5):
+        with pytest.raises(KeyboardInterrupt):
+            measure_estimator("s", case, "m", ticking(stop), restore=False)
+        now[0] += 1000.0  # another process
+    # the save at iteration 2 has 7 s, that at iteration 5 two times 7 s more
+    estimate = ticking().estimate(PHOTO)
+    assert estimate.details["earlier_cpu_s"] == 7 + 14
+    whole = measure_estimator("s", case, "m", ticking(), restore=False).row.cpu_s
+    assert whole == 6 * 7
+    with pytest.raises(KeyboardInterrupt):
+        ticking(4).estimate(PHOTO)
+    assert measure_estimator("s", case, "m", ticking(), restore=False).row.cpu_s == (3 + 2) * 7
+
+
+def test_a_fit_of_another_code_is_not_taken_up(tmp_path, monkeypatch):
+    options = {"config": QUICK, "checkpoints": tmp_path / "states", "saved_every_s": 0.0}
+    with pytest.raises(KeyboardInterrupt):
+        SelfDeblurEstimator(**options, progress=stop_at(3, QUICK)).estimate(PHOTO)
+    changed = []
+    for path in estimator_module._FITTING:
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+        changed.append(tmp_path / path.name)
+    monkeypatch.setattr(estimator_module, "_FITTING", tuple(changed))
+    (tmp_path / "fit.py").write_text(
+        (tmp_path / "fit.py").read_text().replace("_INPUT_SCALE = 0.1", "_INPUT_SCALE = 0.2")
+    )
+    seen = []
+    SelfDeblurEstimator(**options, progress=seen.append).estimate(PHOTO)
+    assert len(seen) == 6
+    monkeypatch.undo()
+    seen.clear()
+    SelfDeblurEstimator(**options, progress=seen.append).estimate(PHOTO)
+    assert len(seen) == 3
 
 
 def test_nothing_is_written_within_the_first_minute(tmp_path):
@@ -168,7 +222,7 @@ def test_nothing_is_written_within_the_first_minute(tmp_path):
 
 def test_a_spoilt_checkpoint_is_told_of(tmp_path):
     fit = fit_of(QUICK)
-    assert not fit.resume(tmp_path / "none")
+    assert fit.resume(tmp_path / "none") is None
     fit_of(replace(QUICK, channels=6)).save(tmp_path / "other")
     with pytest.raises(ValueError, match=r"other: its checkpoint belongs to generators of other sizes; remove it$"):
         fit.resume(tmp_path / "other")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from cep.bench.blind.work import CEILINGS, FLOORS
@@ -10,7 +10,7 @@ from cep.bench.sources import source_version
 from motdiff.evaluation.methods import named_estimators
 from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS, PSF_WEIGHTS
 
-__all__ = ["OURS", "UNUSUAL", "USUAL", "chosen", "label_of", "version_of"]
+__all__ = ["OURS", "SMALL_BUDGETS", "UNUSUAL", "USUAL", "budget_warning", "chosen", "label_of", "version_of"]
 
 USUAL = ("pmp", "motdiff", "motdiff-quick", "network", "parametric", "psf-diffusion")
 """Estimators of every table."""
@@ -18,6 +18,8 @@ UNUSUAL = {"selfdeblur": "takes hours a photo", "blinddps": "needs weights, name
 """Estimators that are measured when named, and why only then."""
 OURS = ("motdiff", "motdiff-quick", "network")
 """The first of these that is measured is what others are compared with."""
+SMALL_BUDGETS = {"parametric": 16_016, "psf-diffusion": 12_816}
+"""Samples that the shipped baselines were trained on, after a start from MoTDiff's condition network."""
 
 _WEIGHTS = {
     "motdiff": DEFAULT_WEIGHTS,
@@ -31,6 +33,16 @@ _FOLLOWED = {
     "network": "motdiff.estimators.motdiff",
     "psf-diffusion": "motdiff.estimators.psf_diffusion",
 }
+
+_TAKING = (
+    "cep.bench.blind.work",
+    "cep.bench.blind.cases",
+    "cep.bench.blind.usage",
+    "cep.bench.photos",  # the crop
+    "cep.images",  # decoding and gamma
+    "motdiff.parallel",  # the one thread
+)
+"""Modules that take and measure a photo; what else they import has no part in it, or is followed."""
 
 
 def chosen(names: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
@@ -60,6 +72,17 @@ def chosen(names: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
     return tuple(name for name in USUAL if name not in left_out), warnings
 
 
+def budget_warning(methods: Iterable[str]) -> str | None:
+    """Say that trained baselines among ``methods`` had less training than MoTDiff; None where there is none."""
+    names = {method.split(":")[0] for method in methods}
+    if not (small := [f"{name} {samples:,}" for name, samples in SMALL_BUDGETS.items() if name in names]):
+        return None
+    return (
+        f"smaller training budgets than MoTDiff's 62,400 samples drawn from 5,632 prepared ones: {' and '.join(small)} "
+        "from 704, after a start from its condition network"
+    )
+
+
 def label_of(method: str) -> str:
     """Name a method in tables: a folder of weights by its own name, without where it lies."""
     folder = _folder(method)
@@ -74,7 +97,7 @@ def version_of(method: str) -> str:
     method : str
         An estimator, a floor or a ceiling.
     """
-    followed, alone = ["motdiff.evaluation.measure"], ["cep.bench.blind.work", "cep.bench.blind.cases"]
+    followed, alone = ["motdiff.evaluation.measure"], list(_TAKING)
     if method in (*FLOORS, *CEILINGS):
         return source_version([*followed, "motdiff.evaluation.floors"], alone=alone)
     first = method.split(":")[0]

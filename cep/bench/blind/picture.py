@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.blind.cases import RealPhoto, real_pair, taken
-from cep.bench.blind.usage import one_thread
 from cep.bench.blind.work import measure_levin, measure_simulated, psf_from_text
 from cep.bench.cells import Cell, Result
 from cep.plots.canvas import new_figure, show_photo
@@ -18,6 +17,7 @@ from motdiff.crops import luminance
 from motdiff.evaluation.measure import restored
 from motdiff.evaluation.sets import levin_photo
 from motdiff.metrics import register_shift
+from motdiff.parallel import one_thread
 from motdiff.simulate import to_linear
 
 if TYPE_CHECKING:

@@ -53,7 +53,7 @@ class Motions:
 
 @dataclass(frozen=True)
 class Protocol:
-    """What is measured on; photos are restored by the L0 method with PMP's settings.
+    """What is measured on; photos are restored as :data:`motdiff.evaluation.measure.RESTORATION` says.
 
     Attributes
     ----------

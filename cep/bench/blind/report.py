@@ -6,16 +6,21 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from cep.bench.blind.methods import budget_warning
 from cep.bench.blind.picture import blind_figure, shown
 from cep.bench.blind.run import Plan
 from cep.bench.blind.tables import cells_csv
 from cep.bench.engine import Outcome
 from cep.bench.figures import FIGURE_SUFFIXES, write_figure
 from cep.bench.layout import tables_csv, tables_json, tables_markdown
+from cep.bench.photos import bundled_photos
 from cep.bench.tables import Table
 from cep.outputs import new_folder
+from motdiff.evaluation.measure import RESTORATION
 
 __all__ = ["outputs", "write_report"]
+
+_RESTORED = (f"PSNR and SSIM are those of the photo's luminance restored, up to shift, by {RESTORATION}.",)
 
 
 def outputs(name: str) -> tuple[str, ...]:
@@ -49,6 +54,7 @@ def write_report(
     command : str
         What makes them again.
     warnings : sequence of str
+        Those that the plan's photos and methods call for are added.
     pictured : sequence of methods
     unmeasured : mapping from method to reason
         Told of, with those of which every cell failed.
@@ -67,8 +73,10 @@ def write_report(
         If one cannot be written.
     """
     lines = shown(outcome.results, methods=pictured) if pictured else []
+    told = [*warnings, *_reservations(plan)]
+    restored = any(column.figure == "psnr_db" for table in tables for column in table.columns)
     with new_folder(folder, outputs(name), force=force) as made:
-        text = _introduction(name, plan, outcome, command, warnings) + tables_markdown(tables)
+        text = _introduction(name, plan, outcome, command, told, restored) + tables_markdown(tables)
         absent = {**(unmeasured or {}), **_failed(outcome)}
         text += "".join(f"\n{method} is not measured: {reason}.\n" for method, reason in absent.items())
         if lines:
@@ -78,9 +86,7 @@ def write_report(
         texts = {
             ".md": text,
             ".csv": tables_csv(tables),
-            ".json": tables_json(
-                tables, command=command, seed=plan.protocol.seed, machines=machines, warnings=warnings
-            ),
+            ".json": tables_json(tables, command=command, seed=plan.protocol.seed, machines=machines, warnings=told),
             "-cells.csv": cells_csv(outcome.figures, outcome.failures),
         }
         for ending, content in texts.items():
@@ -89,21 +95,49 @@ def write_report(
     return {item: folder / item for item in names}
 
 
-def _introduction(name: str, plan: Plan, outcome: Outcome, command: str, warnings: Sequence[str]) -> str:
+def _introduction(
+    name: str, plan: Plan, outcome: Outcome, command: str, warnings: Sequence[str], restored: bool
+) -> str:
     machines = "; ".join(_in_words(machine) for machine in outcome.machines)
     head = [
         f"# The {name} table",
         "",
         f"Made by `{command}`, protocol `{plan.protocol.name}`, seed {plan.protocol.seed}, on",
         f"{machines or 'no machine'}.",
+        f"{_counts(plan)}.",
         "Means, and in brackets their 95 % intervals from a bootstrap over photos or over motions, whichever is wider;",
-        "the best is bold only where paired tests over both tell it from the next one. PSNR and SSIM are those of the",
-        "photo's luminance restored by the L0 method with PMP's settings, up to shift.",
+        "the best is bold only where paired tests over both tell it from the next one.",
+        *(_RESTORED if restored else ()),
         *(f"\n- {warning}" for warning in warnings),
         "",
         "",
     ]
     return "\n".join(head)
+
+
+def _counts(plan: Plan) -> str:
+    """Count what is photographed; a folder may hold less than the protocol asks for."""
+    photos, motions, taken = (len({cell.name[place] for cell in plan.cells}) for place in (1, 2, slice(1, 3)))
+    if not any("motion" in cell.arguments for cell in plan.cells):
+        return f"{_number(taken, 'photo')} with real blur, of {_number(photos, 'scene')}"
+    if taken == photos * motions:
+        return f"{_number(photos, 'photo')}, each with {_number(motions, 'motion')}"
+    return f"{_number(photos, 'photo')}, {_number(motions, 'motion')}, {taken} pairs of them"
+
+
+def _number(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def _reservations(plan: Plan) -> list[str]:
+    """Say what keeps the figures from being a claim."""
+    carried = {path.parent for path in bundled_photos()}
+    said = []
+    if any(isinstance(photo := cell.arguments.get("photo"), Path) and photo.parent in carried for cell in plan.cells):
+        said.append("photos are those of scikit-image: too few and too odd for a claim, name a folder with --data")
+    if (budgets := budget_warning(cell.name[0] for cell in plan.cells)) is not None:
+        said.append(budgets)
+    return said
 
 
 def _failed(outcome: Outcome) -> dict[str, str]:

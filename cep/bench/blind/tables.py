@@ -5,14 +5,13 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from cep.bench.blind.methods import OURS
 from cep.bench.blind.work import CEILINGS
 from cep.bench.cells import Figure
-from cep.bench.tables import Column, Entry, Table, differences, tabulate
+from cep.bench.tables import Column, Table, differences, tabulate
 
 __all__ = ["blind_tables", "cells_csv", "speed_tables"]
 
@@ -83,22 +82,5 @@ def cells_csv(figures: Figures, failures: Mapping[tuple[str, ...], str]) -> str:
 def _table(title: str, figures: Figures, columns: Sequence[Column], seed: int) -> Table:
     # a column that no cell has, such as PSNR without a sharp photo, says nothing
     used = [column for column in columns if any(own.get(column.figure) is not None for own in figures.values())]
-    by_photo, by_motion = (
-        tabulate(title, figures, used, rng=np.random.default_rng(seed), row=0, cluster=cluster) for cluster in (1, 2)
-    )
-    rows = {
-        label: tuple(_doubtful(*pair) for pair in zip(entries, by_motion.rows[label], strict=True))
-        for label, entries in by_photo.rows.items()
-    }
-    return replace(by_photo, rows=rows)
-
-
-def _doubtful(one: Entry, other: Entry) -> Entry:
-    """Keep the wider interval and the weaker test: every photo has the same motions, so neither alone is evidence."""
-    interval = one.interval
-    if interval is not None and other.interval is not None:
-        interval = max(interval, other.interval, key=lambda ends: ends.high - ends.low)
-    lead = one.lead
-    if lead is not None and other.lead is not None:
-        lead = min(lead, other.lead, key=lambda ends: ends.low)
-    return replace(one, interval=interval, lead=lead, bold=one.bold and other.bold)
+    # every photo has the same motions, so neither alone is evidence
+    return tabulate(title, figures, used, rng=np.random.default_rng(seed), row=0, cluster=(1, 2))

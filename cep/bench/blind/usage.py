@@ -5,8 +5,6 @@ from __future__ import annotations
 import ctypes
 import gc
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +13,7 @@ from numpy.typing import NDArray
 
 from motdiff.estimators.base import Estimator, MotionEstimate
 
-__all__ = ["Watched", "one_thread"]
+__all__ = ["Watched"]
 
 _CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
 
@@ -46,19 +44,6 @@ class Watched:
         peak = _status_mib("VmHWM")
         self.memory_mib = None if before is None or peak is None else max(peak - before, 0.0)
         return found
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Keep torch to one thread: threads that wait for each other count as processor time."""
-    import torch
-
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _give_back() -> None:

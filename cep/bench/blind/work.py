@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.blind.cases import RealPhoto, Shot, real_pair, taken
-from cep.bench.blind.usage import Watched, one_thread
+from cep.bench.blind.usage import Watched
 from cep.bench.cells import Figure
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator
@@ -24,6 +24,7 @@ from motdiff.evaluation.measure import FIGURES, Measured, measure_estimator, mea
 from motdiff.evaluation.methods import named_estimators
 from motdiff.evaluation.sets import Case, levin_photo
 from motdiff.metrics import psnr_ssim_up_to_shift
+from motdiff.parallel import one_thread
 from motdiff.trajectory import Trajectory
 
 __all__ = ["CEILINGS", "FLOORS", "measure_levin", "measure_real", "measure_simulated", "psf_from_text", "psf_to_text"]

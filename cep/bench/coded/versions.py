@@ -10,6 +10,7 @@ from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS
 
 __all__ = ["code_version", "motion_version", "photo_version"]
 
+_DENOISER = Path(__file__).parents[2] / "restore" / "denoiser" / "denoiser.safetensors"
 _STAGES = "cep.bench.coded.stages"
 _ESTIMATED: dict[str, tuple[str, Path]] = {
     "motdiff-quick": ("motdiff.estimators.motdiff", DEFAULT_WEIGHTS),
@@ -44,4 +45,5 @@ def code_version(design: str) -> str:
 
 def photo_version() -> str:
     """Fingerprint of what takes, restores and compares a photo."""
-    return source_version(["cep.restore", "cep.mtf", "motdiff.metrics", "motdiff.simulate"], alone=[_STAGES])
+    used = ["cep.restore", "cep.mtf", "motdiff.metrics", "motdiff.simulate"]
+    return source_version(used, alone=[_STAGES], files=[_DENOISER])

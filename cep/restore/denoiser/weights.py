@@ -15,7 +15,6 @@ from safetensors.torch import save
 from torch import Tensor
 
 from cep.restore.denoiser.network import DenoisingNetwork
-from cep.restore.denoiser.samples import SIGMAS
 from motdiff.files import write_bytes_atomically
 
 __all__ = ["SCHEMA", "SHIPPED", "load_denoiser", "read_card", "write_weights"]
@@ -64,7 +63,7 @@ def read_card(path: Path | str = SHIPPED) -> dict[str, Any]:
 def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], FloatArray]:
     """Return a weights file's denoiser: a function of an (H, W) image in linear light and its noise's sigma.
 
-    Levels above those it was trained for are taken for the highest of them.
+    Levels above those it was trained for are the same to it as a darker photo, see :class:`DenoisingNetwork`.
 
     Raises
     ------
@@ -83,9 +82,8 @@ def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], F
     network.eval().requires_grad_(False)
 
     def denoised(image: FloatArray, sigma: float) -> FloatArray:
-        level = min(float(sigma), SIGMAS[1])
         with torch.inference_mode():
-            found = network(torch.from_numpy(image[None, None]).float(), torch.tensor([level]))
+            found = network(torch.from_numpy(image[None, None]).float(), torch.tensor([float(sigma)]))
         return np.asarray(found[0, 0].numpy(), dtype=np.float64)
 
     return denoised

@@ -23,6 +23,9 @@ __all__ = ["SelfDeblurEstimator"]
 _CROP_PX = 256
 _LEAST_PX = 32
 _SAVED_EVERY_S = 60.0
+_FITTING = tuple(
+    Path(__file__).with_name(f"{name}.py") for name in ("config", "convolution", "estimator", "fit", "generators")
+)
 
 
 class SelfDeblurEstimator:
@@ -65,7 +68,8 @@ class SelfDeblurEstimator:
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Fit the kernel of ``photo``, (H, W) or (H, W, 3), linear light 0..1; of a large one, of its best crop.
 
-        Its centroid lies at index 32, to whole pixels. Nothing judges the fit: ``confidence`` is 0.
+        Its centroid lies at index 32, to whole pixels. Nothing judges the fit: ``confidence`` is 0. Processor time that
+        was spent before a checkpoint from which the fit went on is told as ``earlier_cpu_s``.
 
         Raises
         ------
@@ -74,32 +78,46 @@ class SelfDeblurEstimator:
         OSError
             If a checkpoint cannot be written.
         """
+        began_s, earlier_s = time.process_time(), 0.0
         window = _window(luminance(photo))
         fit = JointFit(torch.from_numpy(window.astype(np.float32)).to(self._device), self._config)
         folder = self._folder(window)
         if folder is not None:
-            fit.resume(folder)
+            earlier_s = fit.resume(folder) or 0.0
         saved_s, loss = time.monotonic(), None
         while fit.iteration < self._config.iterations:
             loss = fit.advance()
             if folder is not None and time.monotonic() - saved_s >= self._saved_every_s:
-                fit.save(folder)
+                fit.save(folder, cpu_s=earlier_s + time.process_time() - began_s)
                 saved_s = time.monotonic()
             if self._progress is not None:
                 self._progress(fit.iteration / self._config.iterations)
-        details = {"iterations": fit.iteration, "loss": loss, "kernel_px": self._config.kernel_px}
+        details = {
+            "iterations": fit.iteration,
+            "loss": loss,
+            "kernel_px": self._config.kernel_px,
+            "earlier_cpu_s": earlier_s,
+        }
         estimate = unjudged_estimate("selfdeblur", fit.kernel().double().numpy(), details)
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
         return estimate
 
     def _folder(self, window: NDArray[np.float64]) -> Path | None:
-        """Folder of this photo's checkpoint: another photo, recipe or size is another one."""
+        """Folder of this photo's checkpoint: another photo, recipe, size or code is another one."""
         if self._checkpoints is None:
             return None
-        what = hashlib.sha256(f"{self._config} {window.shape}".encode())
+        what = hashlib.sha256(f"{_code_version()} {self._config} {window.shape}".encode())
         what.update(np.ascontiguousarray(window).tobytes())
         return self._checkpoints / what.hexdigest()[:24]
+
+
+def _code_version() -> str:
+    """Fingerprint of what fits: half a fit by one code and half by another would be neither's."""
+    what = hashlib.sha256(torch.__version__.encode())
+    for path in _FITTING:
+        what.update(path.read_bytes())
+    return what.hexdigest()
 
 
 def _window(grey: NDArray[np.float64]) -> NDArray[np.float64]:

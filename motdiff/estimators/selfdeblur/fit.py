@@ -77,17 +77,24 @@ class JointFit:
             found: Tensor = self._networks["kernel"](self._kernel_noise)
         return found.cpu()
 
-    def save(self, folder: Path | str) -> None:
-        """Write the exact state as a checkpoint folder; an older one there stays whole until this one is."""
+    def save(self, folder: Path | str, *, cpu_s: float = 0.0) -> None:
+        """Write the exact state, and the processor time it took, as a checkpoint folder.
+
+        An older one there stays whole until this one is.
+        """
         tensors = {f"model.{name}": tensor for name, tensor in self._networks.state_dict().items()}
         for name, parameter in self._networks.named_parameters():
             state = self._adam.state.get(parameter, {})
             tensors |= {f"adam.{key}.{name}": state[key] for key in _MOMENTS if key in state}
         tensors["generator"] = self._generator.get_state()
-        write_checkpoint(folder, Checkpoint(self.iteration, tensors, asdict(self._config)))
+        write_checkpoint(folder, Checkpoint(self.iteration, tensors, asdict(self._config), cpu_s))
 
-    def resume(self, folder: Path | str) -> bool:
-        """Take up the state of ``folder``: what follows is what would have followed there. False where there is none.
+    def resume(self, folder: Path | str) -> float | None:
+        """Take up the state of ``folder``: what follows is what would have followed there.
+
+        Returns
+        -------
+        Processor time that the state took, seconds; None where there is none.
 
         Raises
         ------
@@ -96,7 +103,7 @@ class JointFit:
         """
         checkpoint = read_checkpoint(folder, device=self._photo.device)
         if checkpoint is None:
-            return False
+            return None
         tensors = checkpoint.tensors
         try:
             self._networks.load_state_dict(
@@ -112,4 +119,4 @@ class JointFit:
         except (RuntimeError, KeyError) as error:
             raise ValueError(f"{folder}: its checkpoint belongs to generators of other sizes; remove it") from error
         self.iteration = checkpoint.step
-        return True
+        return checkpoint.seconds
