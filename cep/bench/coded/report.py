@@ -24,7 +24,8 @@ OUTPUTS = ("cep.md", "cep.csv", "cep.json", "cep-photos.csv", *(f"cep{suffix}" f
 
 _RESTORED_BY = {
     "psf": " with the true coded PSF.",
-    "path": ", which knows the true path but has to find in which direction the camera ran along it.",
+    "path": ", which knows the true path but has to find in which direction the camera ran along it (with the oracles' "
+    "codes it knows that too).",
     "estimate": ", which knows the path that the code was made for, but not in which direction the camera ran along it "
     "(the oracle's: the truth; codes made for none: our estimate).",
 }

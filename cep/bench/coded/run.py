@@ -273,13 +273,13 @@ def _assumed(
     index: int,
 ) -> str | None:
     """Path that the restoration goes by; None when it knows the PSF, empty when the estimate failed."""
-    if protocol.restored_by == "psf":
+    if protocol.restored_by == "psf" or DESIGNS[design].path == "true":
         return None
     if protocol.restored_by == "path":
+        if DESIGNS[design].knows_truth:
+            return None  # its code is made for one direction
         return paths_to([replace(truth, direction="unknown")], [1.0])
     path = _restored_by(design)
-    if path == "true":
-        return None
     if path == "parametric oracle":
         return paths_to([nearest_quadratic(truth).trajectory()], [1.0])
     figures = estimates[path, photo, index]
