@@ -213,6 +213,8 @@ def test_being_ended_while_playing_closes_the_shutter(controller, ending):
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ,
+        # run under nohup, the tests would hand down that a hang-up is ignored, and the command keeps to that
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
     ) as playing:
         deadline = time.monotonic() + 60
         while not controller.plays and time.monotonic() < deadline:
