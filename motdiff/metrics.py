@@ -16,6 +16,7 @@ __all__ = [
     "mnc_subpixel",
     "ordered_distance_px",
     "path_distance_px",
+    "psnr",
     "psnr_ssim_up_to_shift",
     "psnr_up_to_shift",
     "register_shift",
@@ -155,7 +156,7 @@ def psnr_up_to_shift(
     crop_px : int
         Border left out on each side.
     """
-    return _psnr(*_best_aligned(restored, sharp, max_shift_px, step_px, crop_px))
+    return psnr(*_best_aligned(restored, sharp, max_shift_px, step_px, crop_px))
 
 
 def ssim_up_to_shift(
@@ -170,10 +171,11 @@ def psnr_ssim_up_to_shift(
 ) -> tuple[float, float]:
     """Both of :func:`psnr_up_to_shift` and :func:`ssim_up_to_shift` in the time of one."""
     aligned, target = _best_aligned(restored, sharp, max_shift_px, step_px, crop_px)
-    return _psnr(aligned, target), _ssim(aligned, target)
+    return psnr(aligned, target), _ssim(aligned, target)
 
 
-def _psnr(image: FloatArray, target: FloatArray) -> float:
+def psnr(image: FloatArray, target: FloatArray) -> float:
+    """PSNR, dB, peak 1, of an image as it lies; at most 200 dB."""
     return float(-10 * np.log10(max(float(np.mean((image - target) ** 2)), 1e-20)))
 
 

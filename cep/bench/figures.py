@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cep.plots.canvas import png_bytes
+from cep.plots.canvas import png_bytes, undated
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,7 +27,4 @@ def write_figure(figure: Figure, folder: Path, stem: str) -> None:
         If a file cannot be written, as on a full disk.
     """
     (folder / f"{stem}.png").write_bytes(png_bytes(figure))
-    # in memory first: on a full disk matplotlib's PDF writer hides the error behind one of its own
-    stream = io.BytesIO()
-    figure.savefig(stream, format="pdf", dpi=_PRINT_DPI, metadata={"CreationDate": None})
-    (folder / f"{stem}.pdf").write_bytes(stream.getvalue())
+    (folder / f"{stem}.pdf").write_bytes(undated(figure, "pdf", dpi=_PRINT_DPI))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["COLOURS", "LINES", "new_figure", "png_bytes", "save", "show_photo", "thumbnail"]
+__all__ = ["COLOURS", "LINES", "new_figure", "png_bytes", "save", "show_inset", "show_photo", "thumbnail", "undated"]
 
 FloatArray = NDArray[np.float64]
 
@@ -63,13 +63,20 @@ def save(figure: Figure, path: Path | str) -> None:
     target = Path(path)
     if target.suffix.lower() not in (".png", ".pdf", ".svg"):
         raise ValueError(f"{target}: figures are written as .png, .pdf or .svg")
-    # in memory first: on a full disk matplotlib's PDF writer hides the error behind one of its own
-    stream = io.BytesIO()
-    kind = target.suffix[1:].lower()
-    dated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(kind)  # the same figure, the same bytes
-    figure.savefig(stream, format=kind, dpi=_DPI, metadata=dated)
+    content = undated(figure, target.suffix[1:].lower())
     with new_file(target) as temporary:
-        temporary.write_bytes(stream.getvalue())
+        temporary.write_bytes(content)
+
+
+def undated(figure: Figure, kind: str, *, dpi: int = _DPI) -> bytes:
+    """Render a figure as "png", "pdf" or "svg", without the date that would make the same figure another file.
+
+    In memory, because on a full disk matplotlib's PDF writer hides the error behind one of its own.
+    """
+    stream = io.BytesIO()
+    dates = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+    figure.savefig(stream, format=kind, dpi=dpi, metadata=dates.get(kind))
+    return stream.getvalue()
 
 
 def show_photo(axes: Axes, image: FloatArray) -> None:
@@ -77,6 +84,14 @@ def show_photo(axes: Axes, image: FloatArray) -> None:
     axes.imshow(to_display(np.clip(image, 0, 1)), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
     axes.set_xticks([])
     axes.set_yticks([])
+
+
+def show_inset(axes: Axes, psf: FloatArray, *, share: float, cmap: str) -> None:
+    """Draw a PSF in the upper left corner, ``share`` of the axes wide, by the square root that shows faint parts."""
+    corner = axes.inset_axes((0, 1 - share, share, share))
+    corner.imshow(np.sqrt(np.maximum(psf, 0)), cmap=cmap, interpolation="nearest")
+    corner.set_xticks([])
+    corner.set_yticks([])
 
 
 def thumbnail(image: ArrayLike, longest_px: int) -> FloatArray:

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from motdiff.files import write_bytes_atomically
+from motdiff.half_weights import halved, read_header, read_tensors
 from motdiff.network import MotDiffNetwork, NetworkConfig, PathNetwork, build_network
 from motdiff.training.checkpoint import read_checkpoint
 
@@ -67,14 +67,8 @@ def export_weights(
     found = read_checkpoint(checkpoint)
     if found is None:
         raise ValueError(f"{checkpoint}: holds no checkpoint")
-    tensors = {
-        name.removeprefix("ema."): tensor.half() if tensor.is_floating_point() else tensor
-        for name, tensor in found.tensors.items()
-        if name.startswith("ema.")
-    }
-    for name, tensor in tensors.items():
-        if not tensor.isfinite().all():
-            raise ValueError(f"{checkpoint}: {name} holds values that float16 cannot, above 65504")
+    averaged = {name.removeprefix("ema."): t for name, t in found.tensors.items() if name.startswith("ema.")}
+    tensors = halved(averaged, source=checkpoint)
     if offset and _OUTPUT_BIAS not in tensors:
         raise ValueError(f"offset: must be 0 for weights without a denoiser, got {offset:g}")
     if offset:
@@ -89,7 +83,7 @@ def export_weights(
         "offset": f"{offset:g}",
         "card": json.dumps(dict(card or {})),
     }
-    data = _in_order(save({name: tensor.contiguous() for name, tensor in tensors.items()}, header), header)
+    data = _in_order(save(tensors, header), header)
     write_bytes_atomically(Path(target), data)
     return len(data)
 
@@ -162,10 +156,8 @@ def _loaded(path: Path | str, device: str | torch.device) -> MotDiffNetwork | Pa
         network = build_network(NetworkConfig.from_dict(header["config"]["network"]))
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: its header describes no network known here: {error}") from error
-    with safe_open(str(path), framework="pt", device=str(device)) as file:
-        state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, not a dict
     try:
-        network.load_state_dict({name: t.float() if t.is_floating_point() else t for name, t in state.items()})
+        network.load_state_dict(read_tensors(path, device=str(device)))
     except RuntimeError as error:
         raise ValueError(f"{path}: its tensors do not fit the network in its own header") from error
     network.to(device)
@@ -181,11 +173,7 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
     ValueError
         If the file is not one of ours.
     """
-    try:
-        with safe_open(str(path), framework="pt") as file:
-            header = file.metadata() or {}
-    except (SafetensorError, OSError) as error:
-        raise ValueError(f"{path}: cannot be read as weights: {error}") from error
+    header = read_header(path)
     if header.get("schema") != _SCHEMA:
         raise ValueError(f"{path}: is no {_SCHEMA} file, its schema is {header.get('schema')!r}")
     try:

@@ -11,6 +11,7 @@ from motdiff.metrics import (
     mnc_matrix,
     mnc_subpixel,
     path_distance_px,
+    psnr,
     psnr_up_to_shift,
     register_shift,
     ssim_up_to_shift,
@@ -175,6 +176,13 @@ def test_path_distance_of_parallel_lines_of_two_lengths() -> None:
     assert path_distance_px(Trajectory.straight(20.0), Trajectory.straight(10.0), samples=2001) == pytest.approx(
         2.5, 1e-3
     )
+
+
+@pytest.mark.parametrize(("error", "decibels"), [(1.0, 0.0), (0.1, 20.0), (0.5, 6.0206)])
+def test_psnr_of_a_constant_error(error: float, decibels: float) -> None:
+    image = scene()
+    assert psnr(image + error, image) == pytest.approx(decibels, abs=1e-4)
+    assert psnr(image, image) == 200
 
 
 def test_psnr_of_known_noise() -> None:

@@ -4,6 +4,7 @@ import json
 
 import pytest
 import torch
+from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from motdiff import weights as module
@@ -59,7 +60,7 @@ def exported(trained, tmp_path):
 
 def rewritten(file, *, header=(), change=lambda tensors: tensors):
     tensors = change(load_file(file))
-    with module.safe_open(str(file), framework="pt") as opened:
+    with safe_open(str(file), framework="pt") as opened:
         kept = opened.metadata()
     file.unlink()
     save_file(tensors, file, {name: text for name, text in (kept | dict(header)).items() if text is not None})

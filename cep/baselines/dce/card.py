@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from safetensors import SafetensorError, safe_open
-
 from cep.code import ShutterCode
+from motdiff.half_weights import read_header
 
 __all__ = ["SCHEMA", "Card", "read_card"]
 
@@ -49,11 +48,7 @@ def read_card(path: Path | str) -> Card:
     ValueError
         If the file is not one of ours.
     """
-    try:
-        with safe_open(str(path), framework="np") as file:
-            header = file.metadata() or {}
-    except (SafetensorError, OSError) as error:
-        raise ValueError(f"{path}: cannot be read as weights: {error}") from error
+    header = read_header(path)
     if SCHEMA not in header:
         raise ValueError(f"{path}: is no {SCHEMA} file, its header has {', '.join(sorted(header)) or 'nothing'}")
     try:

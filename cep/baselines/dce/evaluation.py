@@ -15,6 +15,7 @@ from cep.code import ShutterCode
 from cep.exposure import coded_psf
 from cep.restore.wiener import wiener
 from motdiff.gyro import read_gyro
+from motdiff.metrics import psnr
 from motdiff.simulate import add_noise, blur_valid, to_linear, valid_window
 from motdiff.training.motion_bank import PSF_PX, MotionMix, draw_motion
 from motdiff.training.photos import load_photos
@@ -122,5 +123,4 @@ def _row(name: str, code: ShutterCode, figures: FloatArray) -> EvaluationRow:
 
 def _psnr(image: FloatArray, sharp: FloatArray) -> float:
     inside = (slice(_BORDER_PX, -_BORDER_PX), slice(_BORDER_PX, -_BORDER_PX))
-    difference = np.clip(image[inside], 0, 1) - sharp[inside]
-    return float(-10 * np.log10(np.mean(difference**2)))
+    return psnr(np.clip(image[inside], 0, 1), sharp[inside])

@@ -6,14 +6,13 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-import torch
-from safetensors import safe_open
 from safetensors.torch import save
 
 from cep.baselines.dce.binarise import code_of
 from cep.baselines.dce.card import SCHEMA, read_card
 from cep.baselines.dce.network import RestorationNetwork
 from motdiff.files import write_bytes_atomically
+from motdiff.half_weights import fill, halved
 from motdiff.training.checkpoint import read_checkpoint
 
 __all__ = ["export_weights", "load_network"]
@@ -39,11 +38,8 @@ def export_weights(checkpoint: Path | str, target: Path | str, *, notes: Mapping
     found = read_checkpoint(checkpoint)
     if found is None:
         raise ValueError(f"{checkpoint}: holds no checkpoint")
-    tensors = {
-        name.removeprefix(_MODEL): value.half() for name, value in found.tensors.items() if name.startswith(_MODEL)
-    }
-    if wrong := next((name for name, value in tensors.items() if not value.isfinite().all()), None):
-        raise ValueError(f"{checkpoint}: {wrong} holds values that float16 cannot, above 65504")
+    state = {name.removeprefix(_MODEL): value for name, value in found.tensors.items() if name.startswith(_MODEL)}
+    tensors = halved(state, source=checkpoint)
     card = {
         "bits": code_of(found.tensors["code"]).bits,
         "settings": found.config,
@@ -52,7 +48,7 @@ def export_weights(checkpoint: Path | str, target: Path | str, *, notes: Mapping
         "notes": dict(notes or {}),
     }
     # safetensors shuffles a header's entries: one alone gives the same bytes for the same run
-    data = save({name: value.contiguous() for name, value in tensors.items()}, {SCHEMA: json.dumps(card)})
+    data = save(tensors, {SCHEMA: json.dumps(card)})
     write_bytes_atomically(Path(target), data)
     return len(data)
 
@@ -66,12 +62,6 @@ def load_network(path: Path | str) -> RestorationNetwork:
         If the file is not one of ours.
     """
     read_card(path)
-    with safe_open(str(path), framework="pt") as file:
-        state = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118, not a dict
     network = RestorationNetwork()
-    try:
-        network.load_state_dict(state)
-    except RuntimeError as error:
-        raise ValueError(f"{path}: its tensors do not fit the network") from error
-    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    return network.eval().requires_grad_(False)
+    fill(network, path)
+    return network

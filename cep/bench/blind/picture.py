@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cep.bench.blind.cases import RealPhoto, real_pair, taken
 from cep.bench.blind.work import measure_levin, measure_simulated, psf_from_text
 from cep.bench.cells import Cell, Result
-from cep.plots.canvas import new_figure, show_photo
+from cep.plots.canvas import new_figure, show_inset, show_photo
 from motdiff.crops import luminance
 from motdiff.evaluation.measure import restored
 from motdiff.evaluation.sets import levin_photo
@@ -170,7 +170,4 @@ def _inset(axes: Axes, psf: FloatArray) -> None:
     wide = np.pad(psf, room)
     first = len(wide) // 2 - _FRAME_PX // 2
     framed = wide[first : first + _FRAME_PX, first : first + _FRAME_PX]
-    corner = axes.inset_axes((0.0, 1 - _INSET, _INSET, _INSET))
-    corner.imshow(np.sqrt(np.maximum(framed, 0)), cmap="gray", interpolation="nearest")
-    corner.set_xticks([])
-    corner.set_yticks([])
+    show_inset(axes, framed, share=_INSET, cmap="gray")

@@ -8,7 +8,7 @@ import numpy as np
 
 from cep.baselines.dnf import dnf_problem
 from cep.baselines.light import best_snapshot, best_strobe, random_codes
-from cep.baselines.published import names, published
+from cep.baselines.published import for_chips, published
 from cep.camera import Camera
 from cep.code import ShutterCode
 from cep.search.annealing.anneal import anneal
@@ -123,8 +123,7 @@ def designed(
 
 def _searched(problem: SearchProblem, *, steps: int, rng: np.random.Generator) -> ShutterCode:
     coarse = Objective(problem, oversampling=8)
-    known = [published(name).code for name in names()]
-    start = [best_snapshot(coarse), best_strobe(coarse), *(code for code in known if code.chips == problem.chips)]
+    start = [best_snapshot(coarse), best_strobe(coarse), *(entry.code for entry in for_chips(problem.chips))]
     # other cells run beside
     found = anneal(problem, rng=rng, steps=steps, time_s=_FOREVER_S, threads=1, start=start)
     if found.interrupted:

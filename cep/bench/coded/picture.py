@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cep.bench.coded.designs import DESIGNS
 from cep.bench.coded.stages import PSF_PX, paths_from, photographed
 from cep.code import ShutterCode
-from cep.plots.canvas import new_figure, show_photo
+from cep.plots.canvas import new_figure, show_inset, show_photo
 from cep.plots.codes import mtf_curve
 from motdiff.simulate import to_linear
 
@@ -49,7 +49,7 @@ def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str,
         if column == 1:  # every design has the same photo and motion
             _show(axes[0, 0], taken.target, linear=linear)
             axes[0, 0].set_title("photo, and PSF without a code", fontsize=7, pad=14)
-            _inset(axes[0, 0], motion.psf(PSF_PX))
+            show_inset(axes[0, 0], motion.psf(PSF_PX), share=_INSET, cmap="inferno")
         light_true = taken.photo / max(code.duty, 1e-3) if arguments["light_true"] else taken.photo
         _show(axes[0, column], light_true, linear=linear)
         _show(axes[1, column], taken.restored, linear=linear)
@@ -58,7 +58,7 @@ def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str,
         strip.imshow(code.array[None, :], cmap="gray", aspect="auto", vmin=0, vmax=1, interpolation="nearest")
         strip.set_xticks([])
         strip.set_yticks([])
-        _inset(axes[0, column], taken.psf)
+        show_inset(axes[0, column], taken.psf, share=_INSET, cmap="inferno")
         axes[1, column].set_xlabel(scores.get(name, ""), fontsize=7)
         frequency, modulus = mtf_curve(motion, code)
         axes[2, column].plot(frequency, modulus / code.duty, linewidth=0.9)
@@ -74,11 +74,3 @@ def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str,
 def _show(axes: Axes, image: FloatArray, *, linear: bool) -> None:
     light = np.clip(image, 0, 1)
     show_photo(axes, light if linear else to_linear(light))
-
-
-def _inset(axes: Axes, psf: FloatArray) -> None:
-    """Draw a PSF in the upper left corner, by the square root that shows faint parts."""
-    corner = axes.inset_axes((0, 1 - _INSET, _INSET, _INSET))
-    corner.imshow(np.sqrt(psf / max(float(psf.max()), 1e-12)), cmap="inferno", interpolation="nearest")
-    corner.set_xticks([])
-    corner.set_yticks([])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from motdiff.crops import luminance
+from motdiff.metrics import psnr
 from motdiff.simulate import to_linear
 
 __all__ = ["denoising_gains"]
@@ -38,11 +39,7 @@ def denoising_gains(
     for sigma in sigmas:
         rng = np.random.default_rng(seed)
         noisy = [scene + sigma * rng.standard_normal(scene.shape) for scene in scenes]
-        before = np.mean([_psnr(image, scene) for image, scene in zip(noisy, scenes, strict=True)])
-        after = np.mean([_psnr(denoise(image, sigma), scene) for image, scene in zip(noisy, scenes, strict=True)])
+        before = np.mean([psnr(image, scene) for image, scene in zip(noisy, scenes, strict=True)])
+        after = np.mean([psnr(denoise(image, sigma), scene) for image, scene in zip(noisy, scenes, strict=True)])
         rows.append((sigma, float(before), float(after)))
     return tuple(rows)
-
-
-def _psnr(image: FloatArray, truth: FloatArray) -> float:
-    return float(-10 * np.log10(np.mean((image - truth) ** 2)))

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
 from cep.restore.denoiser.network import DenoisingNetwork
 from motdiff.files import write_bytes_atomically
+from motdiff.half_weights import fill, halved, read_header
 
 __all__ = ["SCHEMA", "SHIPPED", "load_denoiser", "read_card", "write_weights"]
 
@@ -33,10 +33,7 @@ def write_weights(state: Mapping[str, Tensor], target: Path | str, *, about: Map
     ValueError
         If float16 cannot hold them.
     """
-    tensors = {name: value.half().contiguous() for name, value in state.items()}
-    if wrong := next((name for name, value in tensors.items() if not value.isfinite().all()), None):
-        raise ValueError(f"{target}: {wrong} holds values that float16 cannot, above 65504")
-    data = save(tensors, {SCHEMA: json.dumps(about)})
+    data = save(halved(state, source=target), {SCHEMA: json.dumps(about)})
     write_bytes_atomically(Path(target), data)
     return len(data)
 
@@ -49,11 +46,7 @@ def read_card(path: Path | str = SHIPPED) -> dict[str, Any]:
     ValueError
         If the file is not one of ours.
     """
-    try:
-        with safe_open(str(path), framework="pt") as file:
-            header = file.metadata() or {}
-    except (SafetensorError, OSError) as error:
-        raise ValueError(f"{path}: cannot be read as weights: {error}") from error
+    header = read_header(path)
     if SCHEMA not in header:
         raise ValueError(f"{path}: is no {SCHEMA} file, its header has {', '.join(sorted(header)) or 'nothing'}")
     card: dict[str, Any] = json.loads(header[SCHEMA])
@@ -71,15 +64,8 @@ def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], F
         If the file is not one of ours.
     """
     read_card(path)
-    with safe_open(str(path), framework="pt") as file:
-        state = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118, not a dict
     network = DenoisingNetwork()
-    try:
-        network.load_state_dict(state)
-    except RuntimeError as error:
-        raise ValueError(f"{path}: its tensors do not fit the network") from error
-    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    network.eval().requires_grad_(False)
+    fill(network, path)
 
     def denoised(image: FloatArray, sigma: float) -> FloatArray:
         with torch.inference_mode():
