@@ -25,8 +25,6 @@ from cep.cli.options import Force, Json
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
-    from numpy.typing import NDArray
     from rich.console import Console
 
     from cep.bench.coded.protocol import CodedProtocol
@@ -78,13 +76,13 @@ def cep_job(
     chosen = coded_protocol(protocol)
     chosen = chosen.quick if quick else chosen
     names = [name.strip() for name in designs.split(",")] if designs else list(DESIGNS)
-    scenes, warnings = _scenes(data, chosen)
+    photos, warnings = _photos(data, chosen)
     given = {"--data": data and data.resolve().name, "--protocol": Path(protocol).name, "--designs": designs}
     command = spelled("cep", given, quick=quick)
 
     def run(tick: Tick) -> tuple[Part, Callable[[Console], None]]:
         measured = measure_coded(
-            chosen, scenes, cache=engine.cache, designs=names, workers=engine.workers, dask=engine.dask, progress=tick
+            chosen, photos, cache=engine.cache, designs=names, workers=engine.workers, dask=engine.dask, progress=tick
         )
         all_warnings = [*warnings, *measured.warnings]
         if measured.failures:
@@ -104,25 +102,17 @@ def cep_job(
     return Job(output, OUTPUTS, about, run)
 
 
-def _scenes(data: Path | None, protocol: CodedProtocol) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """Cut the sharp scenes, larger than the photo where borders are real."""
-    import numpy
+def _photos(data: Path | None, protocol: CodedProtocol) -> tuple[dict[str, Path], list[str]]:
+    """Pick the sharp photos, and say what keeps them from being what the protocol asks for."""
+    from cep.bench.coded.run import scene_px
+    from cep.bench.photos import bundled_photos, photo_folder, pick
+    from cep.bench.scenes import labels_of
 
-    from cep.bench.coded.run import MARGIN_PX
-    from cep.bench.photos import bundled_photos, crop, photo_folder, pick
-    from motdiff.crops import luminance
-
-    least = protocol.crop_px + (MARGIN_PX if protocol.borders == "real" else 0)
     paths = bundled_photos() if data is None else photo_folder(data)
-    picked = pick(paths, protocol.photos, least_px=least)
+    picked = pick(paths, protocol.photos, least_px=scene_px(protocol))
     warnings = []
     if data is None:
         warnings.append("photos are those of scikit-image: too few and too odd for a claim, name a folder with --data")
     if len(picked) < protocol.photos:
         warnings.append(f"{len(picked)} photos are large enough, the protocol asks for {protocol.photos}")
-    gamma = "srgb" if protocol.photons else "linear"  # the paper takes code values for light
-    scenes = {}
-    for index, path in enumerate(picked):
-        rng = numpy.random.default_rng([protocol.seed, 5, index])
-        scenes[f"{index}-{path.stem}"] = luminance(crop(path, least, rng, gamma=gamma))
-    return scenes, warnings
+    return dict(zip(labels_of(picked), picked, strict=True)), warnings

@@ -1,7 +1,6 @@
 """The blind table: its protocols, its photos, its versions of methods, and what is summed up."""
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +9,7 @@ from scipy.io import savemat
 
 from cep.bench import sources
 from cep.bench.blind import report
-from cep.bench.blind.cases import labels_of, real_pair, real_photos, shot_of, taken
+from cep.bench.blind.cases import real_pair, real_photos, shot_of, taken
 from cep.bench.blind.methods import SMALL_BUDGETS, budget_warning, chosen, label_of, version_of
 from cep.bench.blind.protocol import Motions, Protocol
 from cep.bench.blind.run import one_each, planned
@@ -168,11 +167,6 @@ def test_every_motion_meets_the_same_crop(scene):
     shots = [shot_of(replace(TINY, motions=n), "scene", i, None) for n, i in ((1, 0), (5, 3))]
     sharp = [taken(scene, Trajectory.straight(5.0 + i), shot).sharp for i, shot in enumerate(shots)]
     np.testing.assert_array_equal(*sharp)
-
-
-def test_photos_of_one_name_get_their_folders_for_it():
-    assert labels_of([Path("x/a.png"), Path("x/b.png")]) == ("a", "b")
-    assert labels_of([Path("x/1/sharp/a.png"), Path("x/2/sharp/a.png")]) == ("1/sharp/a.png", "2/sharp/a.png")
 
 
 # -- real photos ------------------------------------------------------------------------------------------------------

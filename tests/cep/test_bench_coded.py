@@ -12,17 +12,19 @@ import pytest
 from skimage import data
 
 from cep.baselines.published import published
-from cep.bench.coded import designs, motions, protocol, run
+from cep.bench.coded import designs, motions, protocol
 from cep.bench.coded.designs import DESIGNS, Known, designed
 from cep.bench.coded.motions import drawn_motions
 from cep.bench.coded.protocol import CodedProtocol, coded_protocol
 from cep.bench.coded.report import OUTPUTS, write_coded_report
 from cep.bench.coded.run import CodedTable, Shot, measure_coded
-from cep.bench.coded.stages import estimate_motion, paths_from, paths_to, photographed, take_photo
+from cep.bench.coded.stages import PSF_PX, estimate_motion, paths_from, paths_to, photographed, take_photo
 from cep.bench.coded.tables import coded_tables, harmed, shots_csv
+from cep.bench.coded.told import ESTIMATORS
 from cep.bench.coded.versions import code_version, motion_version, photo_version
 from cep.camera import Camera
 from cep.code import ShutterCode
+from cep.images import write_image
 from cep.mtf import measure
 from cep.restore.wiener import wiener
 from motdiff.estimators.base import MotionEstimate
@@ -31,7 +33,7 @@ from motdiff.trajectory import Trajectory
 
 TINY = CodedProtocol(
     name="tiny", photos=1, motions=2, crop_px=96, borders="symmetric", shakes="mixed", chips=16, open_range=(6, 10),
-    objective="noise", photons=(), design_photons=1e4, bits=12, read_noise_e=0.0, restoration="inverse",
+    objective="noise", photons=(), calibration_photons=1e4, bits=12, read_noise_e=0.0, restoration="inverse",
     border_rounds=10, restored_by="psf", steps=2000, seed=0, quick_photos=1, quick_motions=1, quick_steps=1000,
     quick_photons=(),
 )  # fmt: skip
@@ -74,7 +76,7 @@ def test_the_papers_protocol_is_the_papers():
 def test_ours_has_five_light_levels_and_hides_the_motion():
     ours = coded_protocol("ours")
     assert (ours.borders, len(ours.levels), ours.restored_by) == ("real", 5, "path")
-    assert ours.calibration_camera.photons_full_scale == ours.design_photons in ours.levels
+    assert ours.calibration_camera.photons_full_scale == ours.calibration_photons in ours.levels
     for level in ours.levels:
         camera = ours.camera(level)
         assert (camera.photons_full_scale, camera.read_noise_e) == (level, 5.0)
@@ -120,7 +122,7 @@ def test_a_protocol_of_ones_own_is_a_file(tmp_path):
         ({"photons": ["bright"]}, "photons: must be a list of light levels"),
         ({"photons": [9, 9.0]}, "photons: every level must come once"),
         ({"quick_photons": [-1.0]}, "quick_photons: must be a list of light levels"),
-        ({"design_photons": "bright"}, "design_photons: must be a number"),
+        ({"calibration_photons": "bright"}, "calibration_photons: must be a number"),
         ({"read_noise_e": -1}, "read_noise_e: must be a number within 0..10000"),
         ({"codes": 3}, "field 'codes' is unknown"),
         ({"chips": None}, "field 'chips' is missing"),
@@ -194,7 +196,7 @@ def test_paths_are_kept_to_the_last_bit():
 def test_a_still_camera_takes_the_target_pixel_for_pixel(borders, light_true):
     still = Trajectory.straight(1e-9)
     taken = photographed(**shown(still, bits="1100", borders=borders, light_true=light_true))
-    side = 128 if borders == "symmetric" else 128 - run.MARGIN_PX
+    side = 128 if borders == "symmetric" else 128 - PSF_PX + 1
     assert taken.photo.shape == taken.target.shape == taken.restored.shape == (side, side)
     light = 0.5 if light_true else 1.0
     np.testing.assert_allclose(taken.photo, light * taken.target, atol=3e-4)
@@ -430,7 +432,12 @@ def test_an_interrupted_search_is_not_taken_for_a_finished_one(monkeypatch, desi
 # -- the whole --------------------------------------------------------------------------------------------------------
 
 KNOWING = ("open", "dnf", "oracle", "parametric-oracle")
-SCENES = {"0-blocks": blocks(96)}
+
+
+@pytest.fixture
+def photos(tmp_path):
+    write_image(tmp_path / "blocks.png", blocks(96), gamma="linear")
+    return {"blocks": tmp_path / "blocks.png"}
 
 
 def untouchable(*_arguments):
@@ -438,9 +445,10 @@ def untouchable(*_arguments):
 
 
 def test_a_tiny_table_and_its_cells_found_again(tmp_path, monkeypatch):
-    tiny = replace(TINY, chips=32, open_range=(13, 19), objective="mse")
-    scenes = {"0-camera": data.camera()[192:320, 192:320] / 255.0}
-    measured = measure_coded(tiny, scenes, cache=tmp_path, designs=KNOWING)
+    tiny = replace(TINY, chips=32, open_range=(13, 19))
+    write_image(tmp_path / "camera.png", data.camera()[192:320, 192:320] / 255.0, gamma="linear")
+    photos = {"camera": tmp_path / "camera.png"}
+    measured = measure_coded(tiny, photos, cache=tmp_path / "cells", designs=KNOWING)
     assert (measured.failures, measured.missing, measured.warnings) == ({}, 0, ())
     assert [(shot.design, shot.motion) for shot in measured.shots] == [(name, i) for name in KNOWING for i in range(2)]
     assert measured.estimates == {}
@@ -453,16 +461,16 @@ def test_a_tiny_table_and_its_cells_found_again(tmp_path, monkeypatch):
     assert not any(shot.arguments["light_true"] for shot in measured.shots)  # without light levels, light is no matter
     assert by_name["open", 0].arguments["seed"] != by_name["open", 1].arguments["seed"]
     monkeypatch.setattr("cep.bench.engine.worked", untouchable)
-    again = measure_coded(tiny, scenes, cache=tmp_path, designs=KNOWING)
+    again = measure_coded(tiny, photos, cache=tmp_path / "cells", designs=KNOWING)
     assert [(shot.bits, shot.figures) for shot in again.shots] == [(s.bits, s.figures) for s in measured.shots]
 
 
-def test_who_restores_by_what(tmp_path, guesses):
+def test_who_restores_by_what(tmp_path, photos, guesses):
     hidden = replace(TINY, restored_by="estimate", motions=1, shakes="boracchi-foi", photons=(1e5,), steps=200)
     names = ("dnf", "snapshot", "parametric", "parametric-oracle", "oracle")
-    measured = measure_coded(hidden, SCENES, cache=tmp_path, designs=names)
+    measured = measure_coded(hidden, photos, cache=tmp_path / "cells", designs=names)
     assert measured.failures == {}
-    assert set(measured.estimates) == {("ours", "0-blocks", 0), ("parametric", "0-blocks", 0)}
+    assert set(measured.estimates) == {("ours", "blocks", 0), ("parametric", "blocks", 0)}
     assumed = {shot.design: shot.arguments["assumed"] for shot in measured.shots}
     assert assumed.pop("oracle") is None
     paths = {name: paths_from(text)[0][0] for name, text in assumed.items()}
@@ -476,10 +484,10 @@ def test_who_restores_by_what(tmp_path, guesses):
     assert all(shot.arguments["light_true"] for shot in measured.shots)
 
 
-def test_a_restoration_may_know_the_path_but_not_its_direction(tmp_path, guesses):
+def test_a_restoration_may_know_the_path_but_not_its_direction(tmp_path, photos, guesses):
     hidden = replace(TINY, restored_by="path", motions=1, shakes="boracchi-foi", photons=(1e5,), steps=200)
     measured = measure_coded(
-        hidden, SCENES, cache=tmp_path, designs=("open", "both-ways", "parametric-oracle", "oracle")
+        hidden, photos, cache=tmp_path / "cells", designs=("open", "both-ways", "parametric-oracle", "oracle")
     )
     assert measured.failures == {}
     (truth,) = drawn_motions(hidden)
@@ -493,9 +501,29 @@ def test_a_restoration_may_know_the_path_but_not_its_direction(tmp_path, guesses
         assert path.direction == "unknown"
 
 
-def test_only_estimates_that_are_needed_are_made(tmp_path, guesses):
+def test_codes_are_searched_for_the_light_that_they_meet(tmp_path, photos):
+    """In the dark, where read noise rules, the oracle keeps its shutter open longer; the DNF code is one for all."""
+    lit = replace(TINY, objective="mse", open_range=(1, 16), photons=(50.0, 1e6), read_noise_e=5.0, motions=1)
+    measured = measure_coded(lit, photos, cache=tmp_path / "cells", designs=("raskar-52", "dnf", "oracle"))
+    bits = {(shot.design, shot.photons): shot.bits for shot in measured.shots}
+    assert bits["oracle", 50.0].count("1") > bits["oracle", 1e6].count("1")
+    assert bits["dnf", 50.0] == bits["dnf", 1e6]
+    (truth,) = drawn_motions(lit)
+    for level in lit.levels:
+        camera = lit.camera(level)
+        known = {
+            b: measure(truth, ShutterCode(b), camera=camera, budget=0).mse_db
+            for (d, _), b in bits.items()
+            if d == "oracle"
+        }
+        assert min(known, key=known.__getitem__) == bits["oracle", level]
+    # neither the same searches nor the same codes twice
+    assert len(list((tmp_path / "cells").glob("*.json"))) == 1 + 1 + 2 + 3 * 2
+
+
+def test_only_estimates_that_are_needed_are_made(tmp_path, photos, guesses):
     measured = measure_coded(
-        replace(TINY, motions=1, restored_by="estimate"), SCENES, cache=tmp_path, designs=["oracle"]
+        replace(TINY, motions=1, restored_by="estimate"), photos, cache=tmp_path / "cells", designs=["oracle"]
     )
     assert (guesses.photos, len(measured.shots)) == ([], 1)
 
@@ -503,31 +531,33 @@ def test_only_estimates_that_are_needed_are_made(tmp_path, guesses):
 @pytest.mark.parametrize(
     ("restored_by", "left"), [("psf", ["open", "open", "snapshot"]), ("estimate", ["open", "snapshot"])]
 )
-def test_a_failed_estimate_leaves_its_photos_out(tmp_path, guesses, restored_by, left):
+def test_a_failed_estimate_leaves_its_photos_out(tmp_path, photos, guesses, restored_by, left):
     guesses.fails = 1
     measured = measure_coded(
-        replace(TINY, restored_by=restored_by), SCENES, cache=tmp_path, designs=("open", "snapshot")
+        replace(TINY, restored_by=restored_by), photos, cache=tmp_path / "cells", designs=("open", "snapshot")
     )
-    assert measured.failures == {"motion/ours/0-blocks/0": "photo: too dark"}
+    assert measured.failures == {"motion/ours/blocks/0": "photo: too dark"}
     assert [shot.design for shot in measured.shots] == left
     snapshots = [shot for shot in measured.shots if shot.design == "snapshot"]
     assert [shot.motion for shot in snapshots] == [1]
     guesses.fails = 0
-    mended = measure_coded(replace(TINY, restored_by=restored_by), SCENES, cache=tmp_path, designs=("open", "snapshot"))
+    mended = measure_coded(
+        replace(TINY, restored_by=restored_by), photos, cache=tmp_path / "cells", designs=("open", "snapshot")
+    )
     assert (mended.failures, len(mended.shots), len(guesses.photos)) == ({}, 4, 3)
 
 
-def test_stopped_it_tells_and_goes_on_later(tmp_path, guesses):
+def test_stopped_it_tells_and_goes_on_later(tmp_path, photos, guesses):
     guesses.stops = 2
     cache = tmp_path / "cells"
-    stopped = measure_coded(TINY, SCENES, cache=cache, designs=("open", "snapshot"))
+    stopped = measure_coded(TINY, photos, cache=cache, designs=("open", "snapshot"))
     assert (stopped.missing, stopped.shots) == (1, ())
     uncoded = photographed(**shown(drawn_motions(TINY)[0], bits="1", side=96)).photo
     np.testing.assert_allclose(guesses.photos[0], uncoded, atol=0.002)  # no light levels: no noise here either
     assert coded_tables(stopped) == []
     files = write_coded_report(tmp_path / "out", [], stopped, command="again", warnings=["stopped"])
     assert set(files) == set(OUTPUTS) - {"cep.png", "cep.pdf"}
-    whole = measure_coded(TINY, SCENES, cache=cache, designs=("open", "snapshot"))
+    whole = measure_coded(TINY, photos, cache=cache, designs=("open", "snapshot"))
     assert (whole.missing, len(whole.shots), len(guesses.photos)) == (0, 4, 3)
 
 
@@ -537,7 +567,7 @@ def test_stopped_it_tells_and_goes_on_later(tmp_path, guesses):
 )
 def test_designs_are_refused_before_any_work(tmp_path, names, message):
     with pytest.raises(ValueError, match=message):
-        measure_coded(TINY, SCENES, cache=tmp_path / "cells", designs=names)
+        measure_coded(TINY, photos, cache=tmp_path / "cells", designs=names)
     assert not (tmp_path / "cells").exists()
 
 
@@ -549,7 +579,7 @@ def test_a_changed_method_is_measured_again_alone(monkeypatch):
     assert [design for design in DESIGNS if before[0][design] != after[0][design]] == ["dce"]
     assert before[1] != after[1]  # the denoiser's, with which a protocol may restore
     assert before[2] != after[2]
-    assert set(run.ESTIMATORS.values()) == {"motdiff-quick", "parametric"}
+    assert set(ESTIMATORS.values()) == {"motdiff-quick", "parametric"}
     assert motion_version("motdiff-quick") != motion_version("parametric")
 
 
@@ -649,7 +679,9 @@ def test_a_stopped_run_has_a_table_of_what_is_there(tmp_path):
     assert titles == [
         "Coded exposure, tiny, 300 photo-electrons",
         f"{DESIGNS['both-ways'].label} less each other row, 300 photo-electrons",
-        "Coded exposure, tiny, 10,000 photo-electrons", "Noise gain of the codes along the true motion",
+        "Noise gain of the codes along the true motion, 300 photo-electrons",
+        "Coded exposure, tiny, 10,000 photo-electrons",
+        "Noise gain of the codes along the true motion, 10,000 photo-electrons",
     ]  # fmt: skip
 
 
@@ -661,9 +693,9 @@ def test_every_photo_is_in_the_csv():
     assert (second["motion"], second["photons"], second["bits"]) == ("1", "300", "10")
 
 
-def test_the_picture_needs_no_level_that_was_not_reached(tmp_path):
+def test_the_picture_needs_no_level_that_was_not_reached(tmp_path, photos):
     dim = replace(TINY, photons=(300.0, 1e4), motions=1)
-    measured = measure_coded(dim, SCENES, cache=tmp_path / "cells", designs=("open",))
+    measured = measure_coded(dim, photos, cache=tmp_path / "cells", designs=("open",))
     reached = replace(measured, shots=tuple(one for one in measured.shots if one.photons == 300.0))
     assert len(reached.shots) == 1
     files = write_coded_report(tmp_path / "out", coded_tables(reached), reached, command="again", warnings=[])

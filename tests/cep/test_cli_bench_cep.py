@@ -25,7 +25,7 @@ open_range = [6, 10]
 objective = "mse"
 photons = [300.0, 10000.0]
 quick_photons = []
-design_photons = 10000.0
+calibration_photons = 10000.0
 bits = 12
 read_noise_e = 5.0
 restoration = "wiener"
@@ -40,9 +40,10 @@ quick_steps = 500
 TABLES = [
     "Coded exposure, tiny, 300 photo-electrons",
     "Coded exposure, tiny, 300 photo-electrons: rows beyond comparison",
+    "Noise gain of the codes along the true motion, 300 photo-electrons",
     "Coded exposure, tiny, 10,000 photo-electrons",
     "Coded exposure, tiny, 10,000 photo-electrons: rows beyond comparison",
-    "Noise gain of the codes along the true motion",
+    "Noise gain of the codes along the true motion, 10,000 photo-electrons",
 ]
 
 
@@ -68,8 +69,8 @@ def untouchable(*_arguments):
 def test_from_photos_to_every_output_and_found_again(cep, studio, monkeypatch):
     found = cep.succeeds(*CEP, "-o", "out")
     assert list(found["tables"]) == TABLES
-    assert list(found["tables"][TABLES[2]]) == [DESIGNS[name].label for name in ("open", "dnf")]
-    rows = found["tables"][TABLES[3]]
+    assert list(found["tables"][TABLES[3]]) == [DESIGNS[name].label for name in ("open", "dnf")]
+    rows = found["tables"][TABLES[4]]
     assert list(rows) == [DESIGNS["oracle"].label]
     assert rows[DESIGNS["oracle"].label]["psnr_db"]["n"] == 2
     assert (found["protocol"], found["designs"], found["failures"], found["missing"]) == (
@@ -112,7 +113,8 @@ def test_stopped_in_a_search_it_goes_on_later(cep, studio, monkeypatch):
 
     monkeypatch.setattr(designs, "anneal", stopping)
     options = ("--designs", "oracle", "--quick", "-o", "out")
-    Path("tiny.toml").write_text(TINY.replace("quick_motions = 1", "quick_motions = 2"))
+    one_light = TINY.replace("quick_photons = []", "quick_photons = [300.0]")
+    Path("tiny.toml").write_text(one_light.replace("quick_motions = 1", "quick_motions = 2"))
     cep(*CEP, *options, "--json")
     assert (cep.code, cep.err) == (INTERRUPTED, "cep: interrupted\n")
     assert (cep.json["missing"], cep.json["tables"]) == (1, {})
@@ -148,7 +150,7 @@ def test_people_see_tables_and_where_the_files_are(cep, studio, monkeypatch):
     monkeypatch.setattr("cep.bench.photos.bundled_photos", lambda: (Path("photos/a.png"),))
     cep("bench", "cep", "--protocol", "tiny.toml", "--designs", "open", "--quick", "--workers", "1", "-o", "out")
     assert cep.code == 0, cep.err
-    assert TABLES[2] in cep.out
+    assert TABLES[3] in cep.out
     assert "PSNR, dB" in cep.out
     assert "out: cep-photos.csv" in cep.out
     assert "too few and too odd for a claim" in cep.err

@@ -18,7 +18,7 @@ from motdiff.evaluation.sets import Case, levin_photo
 from motdiff.simulate import add_noise, blur_symmetric, blur_valid, valid_window
 from motdiff.trajectory import Trajectory
 
-__all__ = ["RealPhoto", "Shot", "check_real", "labels_of", "real_pair", "real_photos", "shot_of", "taken"]
+__all__ = ["RealPhoto", "Shot", "check_real", "real_pair", "real_photos", "shot_of", "taken"]
 
 FloatArray = NDArray[np.float64]
 
@@ -81,16 +81,6 @@ def taken(photo: Path, motion: Trajectory, shot: Shot) -> Case:
         read_sigma = shot.read_noise_e / shot.photons
         blurred = add_noise(blurred, rng, photons_full_scale=shot.photons, read_sigma=read_sigma)
     return Case(photo.stem, np.clip(blurred, 0, 1), psf, sharp, motion)
-
-
-def labels_of(photos: Sequence[Path]) -> tuple[str, ...]:
-    """Name photos: by their stems where these differ, otherwise by their paths below the folder they share."""
-    stems = [path.stem for path in photos]
-    if len(set(stems)) == len(stems):
-        return tuple(stems)
-    parts = [path.absolute().parts for path in photos]
-    shared = next(i for i, level in enumerate(zip(*parts, strict=False)) if len(set(level)) > 1)
-    return tuple("/".join(part[shared:]) for part in parts)
 
 
 # -- real photos ------------------------------------------------------------------------------------------------------

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cep.bench.blind.cases import RealPhoto, check_real, labels_of, real_photos, shot_of
-from cep.bench.blind.methods import label_of, version_of
+from cep.bench.blind.cases import RealPhoto, check_real, real_photos, shot_of
+from cep.bench.blind.methods import budget_warning, label_of, version_of
 from cep.bench.blind.protocol import Protocol
 from cep.bench.blind.shakes import drawn_shakes
 from cep.bench.blind.work import CEILINGS, FLOORS, measure_levin, measure_real, measure_simulated
 from cep.bench.cells import Cell
 from cep.bench.photos import Layout, bundled_photos, layout_of, photo_folder, pick
+from cep.bench.scenes import labels_of
 from motdiff.evaluation.floors import mean_psf
 from motdiff.gyro import GyroTrace
 
@@ -40,6 +41,7 @@ class Plan:
     lights : tuple of str
         Names of the light levels, a table each.
     warnings : tuple of str
+        What keeps the figures from being a claim.
     """
 
     protocol: Protocol
@@ -71,17 +73,11 @@ def planned(
         If the folder holds nothing of use, or a photo is too small.
     """
     if folder is not None and (photos := real_photos(folder, protocol.real_photos)):
-        layout = layout_of(folder)
-        light, floors, ceilings = _REAL[layout]
-        check_real(photos, protocol.crop_px)
-        if layout != "levin" and photos[0].sharp is None:
-            floors = ()  # nothing could be said of a kernel without a photo to look at
-        versions = {method: version_of(method) for method in (*floors, *methods, *ceilings)}
-        cells = [
-            _real_cell(protocol, layout, photo, method, versions[method]) for photo in photos for method in versions
-        ]
-        return Plan(protocol, tuple(cells), (light,))
-    return _of_sharp(protocol, methods, folder, trace)
+        plan = _of_real(protocol, methods, layout_of(folder), photos)
+    else:
+        plan = _of_sharp(protocol, methods, folder, trace)
+    budgets = budget_warning(methods)
+    return plan if budgets is None else replace(plan, warnings=(*plan.warnings, budgets))
 
 
 def one_each(plan: Plan) -> Plan:
@@ -96,6 +92,16 @@ def one_each(plan: Plan) -> Plan:
         if method not in (*FLOORS, *CEILINGS) and shake == wanted[photo] and light == plan.lights[0]
     ]
     return replace(plan, cells=tuple(kept), lights=plan.lights[:1])
+
+
+def _of_real(protocol: Protocol, methods: Sequence[str], layout: Layout, photos: Sequence[RealPhoto]) -> Plan:
+    light, floors, ceilings = _REAL[layout]
+    check_real(photos, protocol.crop_px)
+    if layout != "levin" and photos[0].sharp is None:
+        floors = ()  # nothing could be said of a kernel without a photo to look at
+    versions = {method: version_of(method) for method in (*floors, *methods, *ceilings)}
+    cells = [_real_cell(protocol, layout, photo, method, versions[method]) for photo in photos for method in versions]
+    return Plan(protocol, tuple(cells), (light,))
 
 
 def _of_sharp(protocol: Protocol, methods: Sequence[str], folder: Path | None, trace: GyroTrace | None) -> Plan:
@@ -125,6 +131,8 @@ def _of_sharp(protocol: Protocol, methods: Sequence[str], folder: Path | None, t
         for method, version in versions.items()
     ]
     warnings = []
+    if photos[0].parent == bundled_photos()[0].parent:
+        warnings.append("photos are those of scikit-image: too few and too odd for a claim, name a folder with --data")
     if len(photos) < protocol.photos:
         warnings.append(f"{len(photos)} photos instead of the {protocol.photos} of the protocol: there are no more")
     if protocol.motion.gyro > 0 and trace is None:

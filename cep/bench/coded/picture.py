@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.coded.designs import DESIGNS
-from cep.bench.coded.stages import PSF_PX, paths_from, photographed
+from cep.bench.coded.stages import PSF_PX, paths_from
+from cep.bench.coded.work import pictures_of
 from cep.code import ShutterCode
 from cep.plots.canvas import new_figure, show_inset, show_photo
 from cep.plots.codes import mtf_curve
@@ -32,7 +33,7 @@ def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str,
 
     Parameters
     ----------
-    pictured : mapping from design to the arguments of :func:`cep.bench.coded.stages.photographed`, at least one
+    pictured : mapping from design to the arguments of :func:`cep.bench.coded.work.pictures_of`, at least one
     scores : mapping from design to what is written below its restored photo
     linear : bool
         Whether the photo is light, or code values that are shown as they are.
@@ -44,7 +45,7 @@ def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str,
         empty.set_axis_off()
     for column, name in enumerate(names, 1):
         arguments = pictured[name]
-        taken, code = photographed(**arguments), ShutterCode(arguments["bits"])
+        taken, code = pictures_of(**arguments), ShutterCode(arguments["bits"])
         motion = paths_from(arguments["motion"])[0][0]
         if column == 1:  # every design has the same photo and motion
             _show(axes[0, 0], taken.target, linear=linear)

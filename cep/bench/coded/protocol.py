@@ -52,10 +52,11 @@ class CodedProtocol:
     objective : str
         Of the search; see :mod:`cep.search.objective`.
     photons : tuple of float
-        Photo-electrons at full scale of each light level. Empty: no noise but the quantisation, and each photo has the
-        light of the open shutter, as if coding cost none.
-    design_photons : float
-        Light that codes are designed for, and of the uncoded photo that motions are estimated from.
+        Photo-electrons at full scale of each light level, for which codes are searched anew. Empty: no noise but the
+        quantisation, and each photo has the light of the open shutter, as if coding cost none.
+    calibration_photons : float
+        Light of the uncoded photo that motions are estimated from; without light levels it is as free of noise as the
+        others.
     bits : int
         Of the quantisation.
     read_noise_e : float
@@ -83,7 +84,7 @@ class CodedProtocol:
     open_range: tuple[int, int]
     objective: str
     photons: tuple[float, ...]
-    design_photons: float
+    calibration_photons: float
     bits: int
     read_noise_e: float
     restoration: str
@@ -116,7 +117,7 @@ class CodedProtocol:
             if len(set(levels)) < len(levels):
                 raise ValueError(f"{name}: every level must come once, got {levels!r}")
             object.__setattr__(self, name, tuple(float(level) for level in levels))
-        for name, least_e, most_e in (("design_photons", 1e-3, _MOST_PHOTONS), ("read_noise_e", 0.0, 1e4)):
+        for name, least_e, most_e in (("calibration_photons", 1e-3, _MOST_PHOTONS), ("read_noise_e", 0.0, 1e4)):
             value = getattr(self, name)
             if not (_are([value], int, float) and least_e <= value <= most_e):
                 raise ValueError(f"{name}: must be a number within {least_e:g}..{most_e:g}, got {value!r}")
@@ -140,8 +141,8 @@ class CodedProtocol:
 
     @property
     def calibration_camera(self) -> Camera:
-        """Camera of the uncoded photo that a motion is estimated from: as free of noise as the others."""
-        return self.camera(self.design_photons if self.photons else None)
+        """Camera of the uncoded photo that a motion is estimated from."""
+        return self.camera(self.calibration_photons if self.photons else None)
 
     def camera(self, photons: float | None) -> Camera:
         """Camera at a light level."""

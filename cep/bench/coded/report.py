@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cep.bench.coded.picture import coded_figure
-from cep.bench.coded.run import ESTIMATORS, CodedTable
+from cep.bench.coded.run import CodedTable
 from cep.bench.coded.tables import harmed, shots_csv
+from cep.bench.coded.told import ESTIMATORS
 from cep.bench.figures import FIGURE_SUFFIXES, write_figure
 from cep.bench.layout import tables_csv, tables_json, tables_markdown
 from cep.bench.tables import Table
@@ -78,9 +79,9 @@ def write_coded_report(
 
 
 def _figure(measured: CodedTable) -> Figure:
-    # after Ctrl-C there may be none at the level that codes are designed for
+    # after Ctrl-C there may be none at the calibration photo's level
     taken = dict.fromkeys(shot.photons for shot in measured.shots)
-    level = min(taken, key=lambda one: abs((one or 0) - measured.protocol.design_photons))
+    level = min(taken, key=lambda one: abs((one or 0) - measured.protocol.calibration_photons))
     at = [shot for shot in measured.shots if shot.photons == level]
     photo, motion = at[0].photo, at[0].motion
     shown = {shot.design: shot for shot in at if (shot.photo, shot.motion) == (photo, motion)}

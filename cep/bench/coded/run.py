@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.bench.cells import Cell, Figure
-from cep.bench.coded.designs import DESIGNS, Known
+from cep.bench.coded.designs import DESIGNS
 from cep.bench.coded.motions import drawn_motions
 from cep.bench.coded.protocol import CodedProtocol
-from cep.bench.coded.stages import PSF_PX, choose_code, estimate_motion, paths_from, paths_to, take_photo
+from cep.bench.coded.stages import PSF_PX, choose_code, paths_to
+from cep.bench.coded.told import ESTIMATORS, Estimates, assumed_path, kinds_needed, told
 from cep.bench.coded.versions import code_version, motion_version, photo_version
+from cep.bench.coded.work import motion_of, photo_of
 from cep.bench.engine import Outcome, run_cells
-from motdiff.quadratic import nearest_quadratic
-from motdiff.trajectory import Trajectory
+from cep.bench.scenes import Cut
 
-__all__ = ["ESTIMATORS", "MARGIN_PX", "CodedTable", "Shot", "measure_coded"]
+__all__ = ["CodedTable", "Shot", "measure_coded", "scene_px"]
 
-FloatArray = NDArray[np.float64]
 Say = Callable[[float, str], None]
-
-MARGIN_PX = PSF_PX - 1
-"""By how much a scene is larger than its photo when borders are real: the PSF's frame less one pixel."""
-ESTIMATORS = {"ours": "motdiff-quick", "parametric": "parametric"}
-"""Estimator behind each kind of estimated path."""
 
 _STAGES = {"motion": (0.0, 0.4), "code": (0.4, 0.6), "photo": (0.6, 1.0)}  # of the progress
 
@@ -46,7 +40,7 @@ class Shot:
         Of :func:`cep.bench.coded.stages.take_photo`.
     bits : str
     arguments : mapping
-        That :func:`cep.bench.coded.stages.take_photo` was called with.
+        That :func:`cep.bench.coded.work.photo_of` was called with.
     """
 
     design: str
@@ -68,7 +62,7 @@ class CodedTable:
     shots : tuple of Shot
         In order of design, light, photo and motion; without the failed ones.
     estimates : mapping from (kind, photo, motion) to figures
-        ``mnc`` and ``cpu_s`` of each estimated motion.
+        Of :func:`cep.bench.coded.stages.estimate_motion`.
     failures : mapping from a cell's label to its reason
     missing : int
         Cells not reached, after Ctrl-C.
@@ -78,7 +72,7 @@ class CodedTable:
 
     protocol: CodedProtocol
     shots: tuple[Shot, ...]
-    estimates: Mapping[tuple[str, str, int], Mapping[str, Figure]]
+    estimates: Estimates
     failures: Mapping[str, str]
     missing: int
     warnings: tuple[str, ...]
@@ -87,7 +81,7 @@ class CodedTable:
 
 def measure_coded(
     protocol: CodedProtocol,
-    scenes: Mapping[str, FloatArray],
+    photos: Mapping[str, Path],
     *,
     cache: Path,
     designs: Sequence[str] = tuple(DESIGNS),
@@ -100,8 +94,8 @@ def measure_coded(
     Parameters
     ----------
     protocol : CodedProtocol
-    scenes : mapping from a photo's name to its sharp scene, (H, W) linear light
-        The crop itself with symmetric borders, larger by :data:`MARGIN_PX` with real ones.
+    photos : mapping from a photo's name to its file
+        Sharp; its crop and noise go by the name.
     cache : folder of finished cells
     designs : sequence of names of :data:`cep.bench.coded.designs.DESIGNS`
     workers, dask
@@ -123,16 +117,17 @@ def measure_coded(
     stages = _Stages(cache, workers, dask, progress)
     truths = drawn_motions(protocol)
     motions = [paths_to([path], [1.0]) for path in truths]
-    keys = [(photo, index) for photo in scenes for index in range(len(truths))]
+    cuts = {photo: _cut(protocol, photo) for photo in photos}
+    keys = [(photo, index) for photo in photos for index in range(len(truths))]
 
-    kinds = _kinds(protocol, designs)
+    kinds = kinds_needed(protocol, designs)
     versions = {kind: motion_version(ESTIMATORS[kind]) for kind in kinds}
     cells = [
         Cell(
             ("motion", kind, photo, str(index)),
-            estimate_motion,
+            motion_of,
             {
-                "scene": scenes[photo], "motion": motions[index], "method": ESTIMATORS[kind],
+                "photo": photos[photo], "cut": cuts[photo], "motion": motions[index], "method": ESTIMATORS[kind],
                 "borders": protocol.borders, "camera": protocol.calibration_camera.to_dict(),
                 "seed": _seed(protocol, photo, index),
             },
@@ -149,38 +144,40 @@ def measure_coded(
     }
 
     versions = {design: code_version(design) for design in designs}
-    told = {
-        (design, photo, index): _told(design, truths[index], estimates, photo, index)
+    known = {
+        (design, photo, index): told(design, truths[index], estimates, photo, index)
         for design in designs
         for photo, index in keys
     }
     cells = [
         Cell(
-            ("code", design, photo, str(index)),
+            ("code", design, photo, str(index), str(level)),
             choose_code,
             {
-                "known": known, "design": design, "chips": protocol.chips, "open_range": protocol.open_range,
-                "objective": protocol.objective, "camera": protocol.camera(protocol.design_photons).to_dict(),
+                "known": knows, "design": design, "chips": protocol.chips, "open_range": protocol.open_range,
+                "objective": protocol.objective, "camera": protocol.camera(_designed_for(design, level)).to_dict(),
                 "steps": protocol.steps, "seed": protocol.seed + index,
             },
             version=versions[design],
         )
-        for (design, photo, index), known in told.items()
-        if known is not None
+        for (design, photo, index), knows in known.items()
+        if knows is not None
+        for level in protocol.levels
     ]  # fmt: skip
     codes = stages.run("code", cells)
 
     version = photo_version()
     cells = [
-        Cell(("photo", design, photo, str(index), str(level)), take_photo, arguments, version=version)
+        Cell(("photo", design, photo, str(index), str(level)), photo_of, arguments, version=version)
         for design in designs
         for level in protocol.levels
         for photo, index in keys
-        if (code := codes.get(("code", design, photo, str(index))))
-        and (assumed := _assumed(protocol, design, truths[index], estimates, photo, index)) != ""
+        if (code := codes.get(("code", design, photo, str(index), str(level))))
+        and (assumed := assumed_path(protocol, design, truths[index], estimates, photo, index)) != ""
         for arguments in [
             {
-                "scene": scenes[photo],
+                "photo": photos[photo],
+                "cut": cuts[photo],
                 "motion": motions[index],
                 "assumed": assumed,
                 "bits": str(code["bits"]),
@@ -231,59 +228,19 @@ class _Stages:
         return {name: figures for name, figures in outcome.figures.items() if figures}
 
 
-def _kinds(protocol: CodedProtocol, designs: Sequence[str]) -> list[str]:
-    wanted = {DESIGNS[name].path for name in designs}
-    if protocol.restored_by == "estimate":
-        wanted |= {_restored_by(name) for name in designs}
-    return [kind for kind in ESTIMATORS if kind in wanted]
+def scene_px(protocol: CodedProtocol) -> int:
+    """Return the side of a scene, px: with real borders light comes in from beyond the photo, a PSF's frame less 1."""
+    return protocol.crop_px + (PSF_PX - 1 if protocol.borders == "real" else 0)
 
 
-def _restored_by(design: str) -> str:
-    # who knows nothing, or the length only, of the motion needs an estimate to restore by: the best there is
-    path = DESIGNS[design].path
-    return "ours" if path in ("none", "length") else path
+def _cut(protocol: CodedProtocol, photo: str) -> Cut:
+    gamma: Literal["srgb", "linear"] = "srgb" if protocol.photons else "linear"  # the paper takes code values for light
+    return Cut(scene_px(protocol), gamma, (protocol.seed, 5, *photo.encode()))
 
 
-def _told(
-    design: str,
-    truth: Trajectory,
-    estimates: Mapping[tuple[str, str, int], Mapping[str, Figure]],
-    photo: str,
-    index: int,
-) -> Known | None:
-    path = DESIGNS[design].path
-    if path == "none":
-        return Known()
-    if path == "length":
-        return Known(length_px=truth.length_px)
-    if path == "true":
-        return Known((truth,), (1.0,))
-    if path == "parametric oracle":
-        return Known((nearest_quadratic(truth).trajectory(),), (1.0,))
-    figures = estimates[path, photo, index]
-    return Known(*paths_from(str(figures["paths"]))) if figures else None
-
-
-def _assumed(
-    protocol: CodedProtocol,
-    design: str,
-    truth: Trajectory,
-    estimates: Mapping[tuple[str, str, int], Mapping[str, Figure]],
-    photo: str,
-    index: int,
-) -> str | None:
-    """Path that the restoration goes by; None when it knows the PSF, empty when the estimate failed."""
-    if protocol.restored_by == "psf" or DESIGNS[design].path == "true":
-        return None
-    if protocol.restored_by == "path":
-        if DESIGNS[design].knows_truth:
-            return None  # its code is made for one direction
-        return paths_to([replace(truth, direction="unknown")], [1.0])
-    path = _restored_by(design)
-    if path == "parametric oracle":
-        return paths_to([nearest_quadratic(truth).trajectory()], [1.0])
-    figures = estimates[path, photo, index]
-    return str(figures["paths"]) if figures else ""
+def _designed_for(design: str, level: float | None) -> float | None:
+    # what knows no path is not searched for any light: one cell serves all levels
+    return None if DESIGNS[design].path in ("none", "length") else level
 
 
 def _seed(protocol: CodedProtocol, photo: str, index: int) -> int:

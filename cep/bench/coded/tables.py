@@ -28,7 +28,7 @@ _REFERENCE = "both-ways"
 
 
 def coded_tables(measured: CodedTable, *, reference: str = _REFERENCE) -> list[Table]:
-    """Lay out the tables: per light level the quality, and ours less each other row; and the noise gains.
+    """Lay out the tables: per light level the quality, ours less each other row, and the noise gains.
 
     Parameters
     ----------
@@ -56,8 +56,7 @@ def coded_tables(measured: CodedTable, *, reference: str = _REFERENCE) -> list[T
             less = differences(figures, DESIGNS[reference].label)
             title = f"{DESIGNS[reference].label} less each other row{light}"
             tables.append(_table(title, less, _PLAIN, measured))
-    if gains := _figures(measured.shots):  # the same at every level
-        tables.append(_table("Noise gain of the codes along the true motion", gains, _GAIN, measured))
+        tables.append(_table(f"Noise gain of the codes along the true motion{light}", figures, _GAIN, measured))
     return tables
 
 
@@ -71,18 +70,18 @@ def beyond_comparison(measured: CodedTable, design: str) -> bool:
 
 
 def harmed(measured: CodedTable, design: str) -> tuple[int, int]:
-    """Count photos and motions where a design's noise gain, in its worse direction, is above the open shutter's.
+    """Count photos where a design's noise gain, in its worse direction, is above the open shutter's.
 
     Returns
     -------
     (int, int)
         Harmed, and compared.
     """
-    worse = {(shot.design, shot.photo, shot.motion): _worse(shot.figures) for shot in measured.shots}
+    worse = {(shot.design, shot.photo, shot.motion, shot.photons): _worse(shot.figures) for shot in measured.shots}
     pairs = [
-        (gain, worse["open", photo, motion])
-        for (name, photo, motion), gain in worse.items()
-        if name == design and ("open", photo, motion) in worse
+        (gain, worse["open", photo, motion, level])
+        for (name, photo, motion, level), gain in worse.items()
+        if name == design and ("open", photo, motion, level) in worse
     ]
     return sum(coded > plain for coded, plain in pairs), len(pairs)
 

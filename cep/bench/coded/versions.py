@@ -12,6 +12,7 @@ __all__ = ["code_version", "motion_version", "photo_version"]
 
 _DENOISER = Path(__file__).parents[2] / "restore" / "denoiser" / "denoiser.safetensors"
 _STAGES = "cep.bench.coded.stages"
+_TAKING = (_STAGES, "cep.bench.coded.work", "cep.bench.scenes", "cep.bench.photos", "cep.images")  # from the file on
 _ESTIMATED: dict[str, tuple[str, Path]] = {
     "motdiff-quick": ("motdiff.estimators.motdiff", DEFAULT_WEIGHTS),
     "parametric": ("motdiff.estimators.parametric", PATH_WEIGHTS),
@@ -34,7 +35,7 @@ def motion_version(method: str) -> str:
     """Fingerprint of what estimates a motion: an estimator of :data:`cep.bench.coded.run.ESTIMATORS`."""
     module, weights = _ESTIMATED[method]
     used = [module, "motdiff.metrics", "motdiff.simulate", "cep.camera"]
-    return source_version(used, alone=[_STAGES, "motdiff.evaluation.methods"], files=[weights])
+    return source_version(used, alone=[*_TAKING, "motdiff.evaluation.methods"], files=[weights])
 
 
 def code_version(design: str) -> str:
@@ -46,4 +47,4 @@ def code_version(design: str) -> str:
 def photo_version() -> str:
     """Fingerprint of what takes, restores and compares a photo."""
     used = ["cep.restore", "cep.mtf", "motdiff.metrics", "motdiff.simulate"]
-    return source_version(used, alone=[_STAGES], files=[_DENOISER])
+    return source_version(used, alone=_TAKING, files=[_DENOISER])
