@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.bench.layout import TABLES_SCHEMA
+from cep.bench.leavings import left_by_us
 from cep.bench.pairs import rsblur_pairs
 from cep.images import PICTURE_SUFFIXES, read_image
 from motdiff.crops import luminance
@@ -24,7 +24,6 @@ Layout = Literal["photos", "gopro", "rsblur", "levin", "koehler"]
 
 _BLURRED = ("blur", "blur_gamma")
 _COMPARED = 4
-_HEAD_BYTES = 200
 _BUNDLED = (  # those that a quick run picks are the first and the sixth
     "astronaut.png",
     "motorcycle_left.png",
@@ -52,7 +51,8 @@ def layout_of(folder: Path | str) -> Layout:
     """Tell what a folder holds.
 
     "gopro" has folders ``sharp`` beside ``blur`` or ``blur_gamma``, "rsblur" has ``real_blur/real_blur.png`` beside
-    ``gt/gt_sharp.png``, "levin" has ``.mat`` files, "koehler" has ``Blurry1_1.png``; anything else is "photos".
+    ``gt/gt_sharp.png``, "levin" has ``.mat`` files that are no PSFs of ours, "koehler" has ``Blurry1_1.png``; anything
+    else is "photos".
 
     Raises
     ------
@@ -62,7 +62,7 @@ def layout_of(folder: Path | str) -> Layout:
     root = _folder(folder)
     if any(root.glob("Blurry*_*.png")):  # before Levin's: its sharp frames come as .mat files too
         return "koehler"
-    if any(root.glob("*.mat")):
+    if not all(left_by_us(path) for path in root.glob("*.mat")):
         return "levin"
     if next(root.rglob("gt_sharp.png"), None) or next(root.rglob("real_blur.png"), None):
         return "rsblur"
@@ -73,7 +73,7 @@ def layout_of(folder: Path | str) -> Layout:
 def photo_folder(folder: Path | str) -> tuple[Path, ...]:
     """List the sharp photos of a folder, sorted: all of them, or the sharp halves of GoPro's and RSBlur's layouts.
 
-    Pictures that a benchmark has left there are none.
+    Pictures that our own commands have left there are none, where they can be told: see :mod:`cep.bench.leavings`.
 
     Parameters
     ----------
@@ -180,17 +180,8 @@ def _photos(paths: Iterable[Path]) -> list[Path]:
     return sorted(
         p
         for p in paths
-        if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".") and p.is_file() and not _of_a_table(p)
+        if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".") and p.is_file() and not left_by_us(p)
     )
-
-
-def _of_a_table(picture: Path) -> bool:
-    """Whether a benchmark made the picture: its tables lie beside it, under the same name."""
-    tables = picture.with_suffix(".json")
-    if not tables.is_file():
-        return False
-    with tables.open("rb") as stream:
-        return f'"{TABLES_SCHEMA}"'.encode() in stream.read(_HEAD_BYTES)  # annotations of photos may be large
 
 
 def _sharp_of_gopro(root: Path) -> tuple[Path, ...]:

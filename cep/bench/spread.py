@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
+from functools import partial
 from importlib import import_module
 from itertools import islice
 from typing import Any
@@ -19,6 +20,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from cep.bench.cells import Figure, Finished, worked
 from cep.bench.machine import machine
+from cep.bench.sources import all_sources
 
 __all__ = ["Tasks", "in_processes", "on_cluster"]
 
@@ -28,6 +30,7 @@ Tasks = Mapping[str, tuple[Callable[..., Mapping[str, Figure]], Mapping[str, Any
 _CONNECT_S = 5.0
 _WORKERS_S = 10.0
 _DIED = "its process died: not enough memory, or a crash in compiled code"
+_INSTALL = "install there what is installed here, and start it again"
 
 
 def in_processes(tasks: Tasks, workers: int) -> Generator[tuple[str, Finished]]:
@@ -62,14 +65,17 @@ def in_processes(tasks: Tasks, workers: int) -> Generator[tuple[str, Finished]]:
 def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
     """Yield fingerprints with what came of them, from the Dask cluster whose scheduler is at ``address``.
 
-    Dask runs the cells of a lost worker again on another one; what a worker sent counts once.
+    Dask runs the cells of a lost worker again on another one; what a worker sent counts once. Workers must have the
+    sources and weights that are here, those that join later too: figures are kept under the versions of these. Other
+    versions of NumPy and the like may do, and are told by each result's machine.
 
     Raises
     ------
     ValueError
-        If Dask is not installed, no scheduler answers, it has no workers, or they lack this program.
+        If Dask is not installed, no scheduler answers, it has no workers, or one lacks this program or has another
+        state of it.
     RuntimeError
-        If the cluster goes away.
+        If the cluster goes away, or a worker with another state of this program joins it.
     """
     try:
         from distributed import Client
@@ -95,9 +101,10 @@ def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
                 raise ValueError(
                     f"dask: the workers at {address} lack this program ({error}), install it there"
                 ) from None
+            _refuse_other_sources(client)
             try:
                 with parallel_config(_ClusterBackend(client=client)):
-                    yield from _spread(tasks, _one, pre_dispatch="all")
+                    yield from _spread(tasks, partial(_of_these_sources, all_sources()), pre_dispatch="all")
             except Exception as error:  # cells give reasons instead of raising: this is the cluster's own
                 reason = " ".join(f"{type(error).__name__}: {error}".split())
                 raise RuntimeError(
@@ -122,6 +129,17 @@ async def _greeting(address: str) -> None:
         await connection.close()
 
 
+def _refuse_other_sources(client: Any) -> None:
+    states = client.run(all_sources, on_error="return")
+    # OSError: a worker that was lost meanwhile says nothing of its sources; an older state lacks the function
+    told = {worker: state for worker, state in states.items() if not isinstance(state, OSError)}
+    if others := sorted(worker for worker, state in told.items() if state != all_sources()):
+        raise ValueError(
+            f"dask: the worker at {others[0]} has another state of this program ({len(others)} of {len(states)} "
+            f"workers): {_INSTALL}"
+        )
+
+
 def _spread(
     tasks: Tasks, call: Callable[..., tuple[str, Finished]], *, pre_dispatch: int | str
 ) -> Generator[tuple[str, Finished]]:
@@ -137,6 +155,17 @@ def _spread(
 
 def _one(key: str, work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, Any]) -> tuple[str, Finished]:
     return key, worked(work, arguments)
+
+
+def _of_these_sources(
+    sources: str, key: str, work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, Any]
+) -> tuple[str, Finished]:
+    """Refuse on a worker that joined after all were asked; what is raised here ends the run."""
+    if all_sources() != sources:
+        from distributed import get_worker
+
+        raise RuntimeError(f"the worker at {get_worker().address} has another state of this program: {_INSTALL}")
+    return _one(key, work, arguments)
 
 
 def _undisturbed(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -113,20 +114,20 @@ def blind_job(
     from cep.bench.blind.tables import blind_tables
     from cep.bench.blind.work import CEILINGS
 
-    names, plan, warnings = _plan(data, protocol, methods, gyro, quick)
+    names, plan = _plan(data, protocol, methods, gyro, quick)
     title = f"Blind, {plan.protocol.name}"
     command = _command("blind", data, protocol, methods, gyro, quick)
 
     def run(tick: Tick) -> tuple[Part, Callable[[Console], None]]:
         outcome = _run(plan, engine, tick)
-        all_warnings = [*warnings, *told(outcome)]
+        warnings = [*plan.warnings, *told(outcome)]
         tables = blind_tables(outcome.figures, plan.lights, title=title, seed=plan.protocol.seed)
         last = [name for name in CEILINGS[-1:] if any(cell.name[0] == name for cell in plan.cells)]
         files = write_report(
-            output, "blind", tables, plan=plan, outcome=outcome, command=command, warnings=all_warnings,
+            output, "blind", tables, plan=plan, outcome=outcome, command=command, warnings=warnings,
             pictured=(*names, *last), unmeasured={} if methods else UNUSUAL, force=force,
         )  # fmt: skip
-        return _part(title, command, tables, files, outcome, all_warnings)
+        return _part(title, command, tables, files, outcome, warnings)
 
     about = {"folder": output, "protocol": plan.protocol, "methods": names}
     return Job(output, outputs("blind"), about, run)
@@ -149,20 +150,20 @@ def speed_job(
     from cep.bench.blind.run import one_each
     from cep.bench.blind.tables import speed_tables
 
-    names, whole, warnings = _plan(data, protocol, methods, gyro, quick)
+    names, whole = _plan(data, protocol, methods, gyro, quick)
     plan = one_each(whole)
     title = f"One estimate from a photo of {plan.protocol.crop_px} px, {plan.protocol.name}"
     command = _command("speed", data, protocol, methods, gyro, quick)
 
     def run(tick: Tick) -> tuple[Part, Callable[[Console], None]]:
         outcome = _run(plan, engine, tick)
-        all_warnings = [*warnings, *told(outcome)]
+        warnings = [*plan.warnings, *told(outcome)]
         tables = speed_tables(outcome.figures, title=title, seed=plan.protocol.seed)
         files = write_report(
-            output, "speed", tables, plan=plan, outcome=outcome, command=command, warnings=all_warnings,
+            output, "speed", tables, plan=plan, outcome=outcome, command=command, warnings=warnings,
             unmeasured={} if methods else UNUSUAL, force=force,
         )  # fmt: skip
-        return _part(title, command, tables, files, outcome, all_warnings)
+        return _part(title, command, tables, files, outcome, warnings)
 
     about = {"folder": output, "protocol": plan.protocol, "methods": names}
     return Job(output, outputs("speed"), about, run)
@@ -170,7 +171,7 @@ def speed_job(
 
 def _plan(
     data: Path | None, protocol: str, methods: str, gyro: Path | None, quick: bool
-) -> tuple[tuple[str, ...], Plan, list[str]]:
+) -> tuple[tuple[str, ...], Plan]:
     from cep.bench.blind.methods import chosen, label_of
     from cep.bench.blind.protocol import Protocol
     from cep.bench.blind.run import planned
@@ -182,7 +183,7 @@ def _plan(
     trace = None if gyro is None else read_gyro(gyro)
     names, warnings = chosen([name.strip() for name in methods.split(",")] if methods else [])
     plan = planned(loaded, names, folder=data, trace=trace)
-    return tuple(map(label_of, names)), plan, [*warnings, *plan.warnings]
+    return tuple(map(label_of, names)), replace(plan, warnings=(*warnings, *plan.warnings))
 
 
 def _run(plan: Plan, engine: Engine, tick: Tick) -> Outcome:

@@ -180,6 +180,33 @@ def test_time_limit_ends_a_search():
     assert not anneal(problem, rng=np.random.default_rng(0), steps=None, time_s=0.05).interrupted
 
 
+@pytest.mark.parametrize("ends", ["in time", "late", "ctrl-c"])
+def test_a_polish_ends_with_the_time_or_ctrl_c(monkeypatch, ends):
+    problem, clock, told = SearchProblem(chips=40, open_range=(20, 20)), [0.0], []
+    monkeypatch.setattr("cep.search.annealing.anneal.time.monotonic", lambda: clock[0])
+
+    def progress(fraction, best):
+        told.append((fraction, best))
+        if fraction >= 0.9 and ends == "late":
+            clock[0] = 11.5  # the limit and a tenth is 11
+        if fraction > 0.9 and ends == "ctrl-c":
+            raise KeyboardInterrupt
+
+    found = anneal(problem, rng=np.random.default_rng(0), steps=2000, time_s=10.0, progress=progress)
+    fractions = [fraction for fraction, _ in told]
+    assert fractions == sorted(fractions)
+    assert found.interrupted == (ends != "in time")
+    assert fractions[-1] == 1.0 if ends != "ctrl-c" else 0.9 < fractions[-1] < 1.0
+    # what the polish had reached is kept
+    fine = Objective(problem, oversampling=64, dtype=np.float64)
+    assert found.objective == fine.exact_cost(found.code)
+    assert found.code == told[-1][1]
+    inside = sum(0.9 <= fraction < 1.0 for fraction in fractions)
+    assert inside > 5 if ends == "in time" else inside >= 1
+    if ends == "late":
+        assert inside <= 2  # the last tick of the moves may tell 0.9 as well
+
+
 def test_all_open_is_all_there_is():
     found = anneal(SearchProblem(chips=6, open_range=(6, 6)), rng=np.random.default_rng(0), steps=100)
     assert found.code.bits == "111111"

@@ -1,7 +1,8 @@
-"""The engine on a real Dask cluster of two worker processes, which lose a worker, their scheduler, or never were."""
+"""The engine on a real Dask cluster of worker processes, which are lost, have other sources, or never were."""
 
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -18,6 +19,8 @@ from emulators.tools import give_up
 
 from cep.bench.cells import Cell
 from cep.bench.engine import run_cells
+from cep.bench.sources import all_sources
+from cep.cli.console import BAD_INPUT, explain
 
 ROOT = Path(__file__).parents[2]
 COUNT = 12
@@ -37,22 +40,28 @@ class Cluster:
         contact = folder / "scheduler.json"
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "tests")))}
         self._folder, self._environment = folder, environment
-        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", contact)
+        options = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", contact)
+        self.scheduler = self._start("scheduler", *options, environment=environment)
         self.address = self._address(contact)
 
-    def add_workers(self, count):
-        place = ("--local-directory", self._folder, "--death-timeout", "60")
-        return [self._start("worker", self.address, "--no-nanny", "--nthreads", "1", *place) for _ in range(count)]
+    def add_workers(self, count, *, root=None):
+        """Start workers, with the packages below ``root`` instead of these."""
+        environment = self._environment
+        if root is not None:
+            environment = {**environment, "PYTHONPATH": os.pathsep.join(map(str, (root, ROOT / "tests")))}
+        options = ("--no-nanny", "--nthreads", "1", "--local-directory", self._folder, "--death-timeout", "60")
+        return [self._start("worker", self.address, *options, environment=environment) for _ in range(count)]
 
     def stop(self):
         for process in self._processes:
             process.kill()
             process.wait()
 
-    def _start(self, kind, *options):
+    def _start(self, kind, *options, environment):
         command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", "--no-dashboard", *map(str, options)]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        self._processes.append(subprocess.Popen(command, env=self._environment, **quiet))
+        # "python -m" would find the packages of the current folder before those of the environment
+        self._processes.append(subprocess.Popen(command, env=environment, cwd=self._folder, **quiet))
         return self._processes[-1]
 
     def _address(self, contact):
@@ -68,6 +77,7 @@ class Cluster:
 
 @pytest.fixture
 def cluster(tmp_path):
+    all_sources.cache_clear()  # somebody may have edited them since the last test
     made = Cluster(tmp_path)
     try:
         yield made
@@ -206,6 +216,80 @@ def test_workers_without_the_program_are_told(cluster, tmp_path):
     cluster.add_workers(1)
     with pytest.raises(ValueError, match=f"the workers at {cluster.address} lack this program .*bench_work"):
         run_cells(cells(tmp_path / "log"), cache=tmp_path / "cache", dask=cluster.address)
+
+
+def copied(folder):
+    for package in ("cep", "motdiff", "hw"):
+        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
+
+
+def other_code(root):
+    path = root / "cep/mtf.py"
+    path.write_text(path.read_text(encoding="utf-8") + "\nSCENE_STD = 0.3\n", encoding="utf-8")
+
+
+def other_weights(root):
+    path = root / "cep/restore/denoiser/denoiser.safetensors"
+    path.write_bytes(path.read_bytes()[:-1] + b"?")
+
+
+def a_module_less(root):
+    (root / "cep/demo/page.py").unlink()
+
+
+def as_before_workers_were_asked(root):
+    for name in ("sources", "spread"):
+        path = root / f"cep/bench/{name}.py"
+        path.write_text(path.read_text(encoding="utf-8").replace("all_sources", "_nothing"), encoding="utf-8")
+
+
+@pytest.mark.parametrize("change", [other_code, other_weights, a_module_less, as_before_workers_were_asked])
+def test_a_worker_with_other_sources_is_named_before_anything_runs(cluster, tmp_path, change):
+    from distributed import Client  # not everybody has it
+
+    copy = copied(tmp_path / "copy")
+    change(copy)
+    cluster.add_workers(1)
+    cluster.add_workers(1, root=copy)
+    with Client(cluster.address, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=60)
+        homes = client.run(lambda: find_spec("cep").origin)
+    (odd,) = [worker for worker, home in homes.items() if Path(home).is_relative_to(copy)]
+    log, cache = tmp_path / "log", tmp_path / "out" / "cells"
+    with pytest.raises(ValueError, match=f"dask: the worker at {odd} has another state of this program") as caught:
+        run_cells(cells(log), cache=cache, dask=cluster.address)
+    assert "(1 of 2 workers): install there what is installed here" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert explain(caught.value) == BAD_INPUT
+    assert not log.exists()
+    assert not (tmp_path / "out").exists()
+
+
+def test_equal_sources_in_another_place_are_the_same(cluster, tmp_path):
+    cluster.add_workers(1, root=copied(tmp_path / "copy"))
+    outcome = run_cells(cells(tmp_path / "log", slow_s=0.0), cache=tmp_path / "cache", dask=cluster.address)
+    assert (len(outcome.figures), outcome.failures) == (COUNT, {})
+
+
+def test_a_worker_with_other_sources_that_joins_later_makes_nothing(cluster, tmp_path):
+    copy = copied(tmp_path / "copy")
+    other_code(copy)
+    log, cache = tmp_path / "log", tmp_path / "cache"
+    (first,) = cluster.add_workers(1)
+    later = []
+
+    def replace_it(fraction, _note):
+        if not later and fraction >= 0.2:
+            later.extend(cluster.add_workers(1, root=copy))
+            first.kill()
+
+    with pytest.raises(RuntimeError, match=r"worker at tcp://.* has another state of this program") as caught:
+        run_cells(cells(log), cache=cache, dask=cluster.address, progress=replace_it)
+    assert "run again to go on" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert {int(pid) for _, pid, _ in events(log)} == {first.pid}
+    assert 0.2 * COUNT <= len(list(cache.iterdir())) < COUNT
 
 
 def test_without_dask_the_extra_is_named(tmp_path, monkeypatch):

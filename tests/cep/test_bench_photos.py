@@ -2,10 +2,17 @@
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from cep.bench.layout import made_json
 from cep.bench.photos import bundled_photos, crop, layout_of, photo_folder, pick
+from cep.cli.pareto import FRONT_SCHEMA
+from cep.code import ShutterCode
+from cep.demo import DEMO_FILES
+from cep.files import StoredCode, write_code, write_psf
 from cep.images import read_image, write_image
+from motdiff.files import StoredMotion, write_motion
+from motdiff.trajectory import Trajectory
 
 
 def photo(path, *, side=(40, 50), blurred=False, seed=0):
@@ -45,6 +52,111 @@ def test_pictures_of_benchmarks_are_no_photos(tmp_path):
     assert list(photo_folder(tmp_path)) == sorted(made)
     with pytest.raises(ValueError, match="holds no photos"):
         photo_folder(tmp_path / "bench")
+
+
+def test_pictures_of_our_commands_are_no_photos(cep, workplace):
+    """Of what a day's work leaves in a folder, only what has no record is still taken for photos."""
+    motion = ("--trajectory", "trajectory.json")
+    for command in (
+        ("calibrate", "blurred.png", "--method", "reference", "--sharp", "sharp.png", "-o", ".", "--force"),
+        ("calibrate", "blurred.png", "--method", "reference", "--sharp", "sharp.png", "-o", "hand"),
+        ("simulate", "sharp.png", *motion, "--code", "code.json"),
+        ("simulate", "sharp.png", *motion, "-o", "open.jpg"),
+        ("pareto", "--chips", "9", "--time", "0.2", "-o", "front.json"),
+        ("mtf", *motion, "--code", "code.json"),
+        ("deblur", "sharp_coded.png", *motion, "--code", "code.json"),
+    ):
+        cep.succeeds(*command)
+    pictures = {path.as_posix() for path in workplace.rglob("*") if path.suffix in (".png", ".jpg")}
+    made = {
+        *("psf.png", "map.png", "preview.png", "hand/psf.png", "hand/map.png", "hand/preview.png", "front.png"),
+        *("sharp_coded.png", "sharp_coded_psf.png", "open.jpg", "open_psf.png"),
+    }
+    without_record = {"mtf.png", "sharp_coded_sharp.png"}
+    given = {"sharp.png", "blurred.png"}
+    assert pictures == {(workplace / name).as_posix() for name in made | without_record | given}
+    assert layout_of(workplace) == "photos"  # though there are .mat files
+    assert {path.relative_to(workplace).as_posix() for path in photo_folder(workplace)} == without_record | given
+
+
+def calibrated(folder):
+    motion = Trajectory.straight(7.0)
+    write_motion(folder / "trajectory.json", StoredMotion(motion))
+    write_psf(folder, motion.psf(64))
+
+
+def test_pictures_of_the_demo_are_no_photos(tmp_path):
+    for name in DEMO_FILES:
+        if name.endswith(".png"):
+            photo(tmp_path / "demo" / name)
+    own = photo(tmp_path / "demo" / "a.png")
+    calibrated(tmp_path / "demo")
+    write_code(tmp_path / "demo" / "code.json", StoredCode(ShutterCode("1101", 250_000)))
+    (tmp_path / "demo" / "demo.json").write_text("{}")
+    assert photo_folder(tmp_path) == (own,)
+    (tmp_path / "demo" / "code.json").write_text('{"schema": "annotations/1"}')
+    assert {path.name for path in photo_folder(tmp_path)} == {
+        "a.png", "blurred.png", "coded.png", "restored_open.png", "restored_coded.png", "code_strip.png", "mtf.png",
+        "photos.png", "restored.png",
+    }  # fmt: skip
+
+
+def beside_a_code(folder):
+    """What "cep optimize -o house.json" and "cep hw verify -o house.json" leave beside the photo of a house."""
+    write_code(folder / "house.json", StoredCode(ShutterCode("1101", 250_000)))
+    write_psf(folder, np.eye(9), stem="house_psf")
+    return ["house.png"]
+
+
+def beside_a_motion(folder):
+    write_motion(folder / "trajectory.json", StoredMotion(Trajectory.straight(7.0)))
+    return ["preview.png", "map.png", "psf.png"]
+
+
+def beside_somebody_elses_arrays(folder):
+    """A depth map, say, in the formats of our PSFs."""
+    for stem, variables in (("room", {"depth": np.eye(3)}), ("wall", {"psf": np.eye(3), "noise": 1.0}), ("door", None)):
+        np.save(folder / f"{stem}.npy", np.eye(3))
+        savemat(folder / f"{stem}.mat", variables) if variables else (folder / f"{stem}.mat").write_bytes(b"MATLAB")
+    return ["room.png", "wall.png", "door.png"]
+
+
+def one_of_two_was_blurred(folder):
+    write_psf(folder, np.eye(9), stem="tree_psf")
+    return ["tree.png", "tree.jpg"]
+
+
+def a_photo_named_as_a_table(folder):
+    (folder / "cep.json").write_text(made_json({}, command="", seed=0, machines=[], warnings=[]))
+    return ["cep.jpg"]
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        *(beside_a_code, beside_a_motion, beside_somebody_elses_arrays, one_of_two_was_blurred),
+        a_photo_named_as_a_table,
+    ],
+)
+def test_photos_beside_files_of_ours_stay_photos(tmp_path, made):
+    folder = tmp_path / "below"
+    folder.mkdir()
+    photos = [photo(folder / name) for name in made(folder)]
+    assert photo_folder(tmp_path) == tuple(sorted(photos))
+
+
+def test_any_version_of_a_table_counts(tmp_path):
+    (tmp_path / "front.json").write_text(f'{{"schema": "{FRONT_SCHEMA.replace("1", "7")}", "points": []}}')
+    photo(tmp_path / "front.png")
+    with pytest.raises(ValueError, match="holds no photos"):
+        photo_folder(tmp_path)
+
+
+def test_levins_files_are_told_from_psfs(tmp_path):
+    calibrated(tmp_path)
+    assert layout_of(tmp_path) == "photos"
+    savemat(tmp_path / "im05_flit01.mat", {name: np.eye(3) for name in ("x", "y", "f")})
+    assert layout_of(tmp_path) == "levin"
 
 
 def test_only_the_sharp_half_of_gopro_and_rsblur_is_taken(tmp_path):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cep.bench.blind import work
+from cep.cli.bench_blind import blind_job, speed_job
 from cep.cli.console import FAILURE, INTERRUPTED
 from cep.images import read_image, write_image
 from motdiff.estimators.base import MotionEstimate
@@ -126,14 +127,56 @@ def test_finished_cells_are_found_again_and_a_quick_run_is_a_part(cep, studio, g
     assert "2 photos, 2 motions, 2 pairs of them.\n" in text
 
 
+CLAIMED = ("--protocol", "tiny.toml", "--methods", "pmp,parametric", "--quick")
+RESERVATIONS = ("photos are those of scikit-image: too few", "smaller training budgets than MoTDiff's 62,400")
+
+
 def test_what_keeps_figures_from_a_claim_is_told(cep, studio, guesses):
-    carried = (*BLIND[:2], "--protocol", "tiny.toml", "--methods", "pmp,parametric", "--workers", "1", "--quick")
-    cep.succeeds(*carried, "-o", "out")
+    """Once each, and the same everywhere: on the console, in the JSON object, and in the files."""
+    carried = ("bench", "blind", *CLAIMED, "--workers", "1")
+    found = cep.succeeds(*carried, "-o", "out")
     text, kept = Path("out/blind.md").read_text(), json.loads(Path("out/blind.json").read_text())
-    for said in ("photos are those of scikit-image: too few", "smaller training budgets than MoTDiff's 62,400"):
+    assert kept["warnings"] == found["warnings"]
+    for said in RESERVATIONS:
+        assert sum(warning.startswith(said) for warning in found["warnings"]) == 1
         assert text.count(f"- {said}") == 1
-        assert any(warning.startswith(said) for warning in kept["warnings"])
     assert "2 photos, each with 1 motion.\n" in text
+    cep(*carried, "-o", "out", "--force")
+    assert cep.err.splitlines() == [f"cep: warning: {warning}" for warning in found["warnings"]]
+
+
+def test_what_keeps_figures_from_a_claim_is_told_of_costs_and_of_real_photos(cep, studio, guesses):
+    found = cep.succeeds("bench", "speed", *CLAIMED, "-o", "out")
+    assert found["warnings"] == json.loads(Path("out/speed.json").read_text())["warnings"]
+    assert [warning[:20] for warning in found["warnings"]] == [said[:20] for said in RESERVATIONS]
+    # photos named are no carried ones; what the methods are stays
+    Path("real").mkdir()
+    write_image("real/Blurry1_1.png", np.random.default_rng(0).random((96, 96)))
+    found = cep.succeeds("bench", "blind", "--data", "real", *CLAIMED, "--workers", "1", "-o", "koehler")
+    (warning,) = found["warnings"]
+    assert warning.startswith(RESERVATIONS[1])
+
+
+def test_all_tables_in_one_folder_tell_it_too(cep, studio, guesses, monkeypatch):
+    def few(output, engine, *, data, gyro, quick, force):
+        given = {"data": data, "protocol": "tiny.toml", "methods": "pmp,parametric", "gyro": gyro}
+        return {
+            name: make(output / name, engine, **given, quick=quick, force=force)
+            for name, make in (("blind", blind_job), ("speed", speed_job))
+        }
+
+    monkeypatch.setattr("cep.cli.bench._jobs", few)
+    command = ("bench", "--quick", "--workers", "1", "-o", "out")
+    found = cep.succeeds(*command)
+    starts = [f"{name}: {said}" for name in ("blind", "speed") for said in RESERVATIONS]
+    assert [warning[: len(start)] for warning, start in zip(found["warnings"], starts, strict=True)] == starts
+    index = Path("out/README.md").read_text()
+    for name, section in zip(("blind", "speed"), index.split("\n## ")[1:], strict=True):
+        kept = json.loads(Path("out", name, f"{name}.json").read_text())["warnings"]
+        assert [line[2:] for line in section.splitlines() if line.startswith("- ")] == kept
+        assert [f"{name}: {warning}" for warning in kept] == [w for w in found["warnings"] if w.startswith(name)]
+    cep(*command, "--force")
+    assert cep.err.splitlines() == [f"cep: warning: {warning}" for warning in found["warnings"]]
 
 
 def test_cells_of_another_engine_are_made_again_and_told(cep, studio, guesses):

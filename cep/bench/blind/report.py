@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cep.bench.blind.methods import budget_warning
 from cep.bench.blind.picture import blind_figure, shown
 from cep.bench.blind.run import Plan
 from cep.bench.blind.tables import cells_csv
 from cep.bench.engine import Outcome
 from cep.bench.figures import FIGURE_SUFFIXES, write_figure
 from cep.bench.layout import tables_csv, tables_json, tables_markdown
-from cep.bench.photos import bundled_photos
 from cep.bench.tables import Table
 from cep.outputs import new_folder
 from motdiff.evaluation.measure import RESTORATION
@@ -54,7 +52,7 @@ def write_report(
     command : str
         What makes them again.
     warnings : sequence of str
-        Those that the plan's photos and methods call for are added.
+        All of them, the plan's too.
     pictured : sequence of methods
     unmeasured : mapping from method to reason
         Told of, with those of which every cell failed.
@@ -73,10 +71,9 @@ def write_report(
         If one cannot be written.
     """
     lines = shown(outcome.results, methods=pictured) if pictured else []
-    told = [*warnings, *_reservations(plan)]
     restored = any(column.figure == "psnr_db" for table in tables for column in table.columns)
     with new_folder(folder, outputs(name), force=force) as made:
-        text = _introduction(name, plan, outcome, command, told, restored) + tables_markdown(tables)
+        text = _introduction(name, plan, outcome, command, warnings, restored) + tables_markdown(tables)
         absent = {**(unmeasured or {}), **_failed(outcome)}
         text += "".join(f"\n{method} is not measured: {reason}.\n" for method, reason in absent.items())
         if lines:
@@ -86,7 +83,9 @@ def write_report(
         texts = {
             ".md": text,
             ".csv": tables_csv(tables),
-            ".json": tables_json(tables, command=command, seed=plan.protocol.seed, machines=machines, warnings=told),
+            ".json": tables_json(
+                tables, command=command, seed=plan.protocol.seed, machines=machines, warnings=warnings
+            ),
             "-cells.csv": cells_csv(outcome.figures, outcome.failures),
         }
         for ending, content in texts.items():
@@ -127,17 +126,6 @@ def _counts(plan: Plan) -> str:
 
 def _number(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
-
-
-def _reservations(plan: Plan) -> list[str]:
-    """Say what keeps the figures from being a claim."""
-    carried = {path.parent for path in bundled_photos()}
-    said = []
-    if any(isinstance(photo := cell.arguments.get("photo"), Path) and photo.parent in carried for cell in plan.cells):
-        said.append("photos are those of scikit-image: too few and too odd for a claim, name a folder with --data")
-    if (budgets := budget_warning(cell.name[0] for cell in plan.cells)) is not None:
-        said.append(budgets)
-    return said
 
 
 def _failed(outcome: Outcome) -> dict[str, str]:

@@ -131,7 +131,8 @@ def _of_sharp(protocol: Protocol, methods: Sequence[str], folder: Path | None, t
         for method, version in versions.items()
     ]
     warnings = []
-    if photos[0].parent == bundled_photos()[0].parent:
+    carried = {path.parent for path in bundled_photos()}
+    if any(photo.absolute().parent in carried for photo in photos):
         warnings.append("photos are those of scikit-image: too few and too odd for a claim, name a folder with --data")
     if len(photos) < protocol.photos:
         warnings.append(f"{len(photos)} photos instead of the {protocol.photos} of the protocol: there are no more")

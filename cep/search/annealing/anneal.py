@@ -13,12 +13,22 @@ from cep.band import straight_axis
 from cep.code import ShutterCode
 from cep.mtf import CodeMetrics
 from cep.search.annealing.chains import Cooling, Crew, Walks
-from cep.search.annealing.polish import polish
+from cep.search.annealing.polish import Polished, polish
 from cep.search.annealing.tables import lay_out
 from cep.search.objective import Objective, sample_count
 from cep.search.problem import SearchProblem
 
-__all__ = ["COOLING", "MOST_SWAPS", "REHEATED", "Budget", "SearchResult", "anneal", "hottest_db", "standard_moves"]
+__all__ = [
+    "COOLING",
+    "MOST_SWAPS",
+    "MOVES_SHARE",
+    "REHEATED",
+    "Budget",
+    "SearchResult",
+    "anneal",
+    "hottest_db",
+    "standard_moves",
+]
 
 Codes = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
@@ -35,6 +45,8 @@ _SHORTEST, _LONGEST = 2**15, 2**22  # moves of a chain in the first and the last
 _ELITES = 32
 _POOL = 8  # of the best, from which walks start
 _STANDARD_WORK = 2**33  # moves times frequencies after which more rarely find a better code
+_POLISH_SHARE, _POLISH_S = 0.1, 0.5  # of the time limit, or seconds if that is more: what the polish may take on top
+MOVES_SHARE = 0.9  # of the fraction done that is told: the rest is the polish
 
 
 @dataclass(frozen=True)
@@ -112,6 +124,10 @@ class Budget:
         """Whether neither the moves nor the time is used up."""
         return self.elapsed() < self.time_s and (self.steps is None or self.done < self.steps)
 
+    def polish_ends(self, *, stopped: bool) -> float:
+        """Say at which elapsed second a closing polish must end: sooner once Ctrl-C has stopped the search."""
+        return self.elapsed() + _POLISH_S if stopped else self.time_s + max(_POLISH_S, _POLISH_SHARE * self.time_s)
+
     def chain(self, round_number: int) -> int:
         """Say how many moves each chain of a round makes."""
         wanted: int = min(_SHORTEST << round_number, _LONGEST)
@@ -144,7 +160,8 @@ def anneal(
     steps : int, optional
         Moves to try, over all chains. None searches for ``time_s``, and is not reproducible.
     time_s : float
-        Upper limit, seconds; the closing polish and measurement come on top.
+        Upper limit of the moves, seconds. The closing polish ends at the latest a tenth of it, or half a second, later;
+        after Ctrl-C, within half a second. Only the measurement of the code comes on top.
     start : iterable of ShutterCode
         Codes to start from besides random ones, such as published ones; those that break a limit are left out.
     progress : callable, optional
@@ -170,12 +187,12 @@ def anneal(
     seeds = np.array([*given, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
     elites.offer(seeds[problem.satisfied(seeds)])
     free = problem.free_chips
-    interrupted = False
+    interrupted = stopped = False
 
     def tick(moves: int) -> bool:
         budget.done += moves
         if progress is not None:
-            progress(budget.used(), elites.best())
+            progress(MOVES_SHARE * budget.used(), elites.best())
         return budget.elapsed() < time_s
 
     try:
@@ -188,14 +205,25 @@ def anneal(
                 round_number += 1
             interrupted = steps is not None and budget.done < steps
     except KeyboardInterrupt:
-        interrupted = True
+        interrupted = stopped = True
+    ends_s = budget.polish_ends(stopped=stopped)
+    polished: Polished | None = None
     try:
-        code, cost = polish(problem, elites.ranked())
+        for polished in polish(problem, elites.ranked()):
+            if progress is not None:
+                progress(MOVES_SHARE + (1 - MOVES_SHARE) * polished.done, polished.code)
+            if budget.elapsed() > ends_s:
+                interrupted = interrupted or steps is not None
+                break
+        if progress is not None and polished is not None:
+            progress(1.0, polished.code)
     except KeyboardInterrupt:
         interrupted = True
-        code = elites.best()
-        cost = Objective(problem, oversampling=64, dtype=np.float64).exact_cost(code)
-    return SearchResult(code, cost, problem.measure(code), budget.elapsed(), budget.done, interrupted)
+    if polished is None:
+        best = elites.best()
+        polished = Polished(best, Objective(problem, oversampling=64, dtype=np.float64).exact_cost(best), 1.0)
+    metrics = problem.measure(polished.code)
+    return SearchResult(polished.code, polished.cost, metrics, budget.elapsed(), budget.done, interrupted)
 
 
 def standard_moves(problem: SearchProblem) -> int:

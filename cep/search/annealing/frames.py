@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.code import ShutterCode
-from cep.search.annealing.anneal import COOLING, REHEATED, Budget, hottest_db
+from cep.search.annealing.anneal import COOLING, MOVES_SHARE, REHEATED, Budget, hottest_db
 from cep.search.annealing.cooling import cool
 from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables, polish_jointly
 from cep.search.annealing.proposals import Limits
@@ -93,7 +93,7 @@ def anneal_frames(
     steps : int, optional
         Moves to try, over all chains. None searches for ``time_s``, and is not reproducible.
     time_s : float
-        Upper limit, seconds; the closing polish comes on top.
+        Upper limit of the moves, seconds; of the closing polish, a tenth of it or half a second more.
     start : iterable of sequences of ShutterCode
         Codes of all frames to start from, besides random ones; those that break a limit are left out.
     progress : callable, optional
@@ -116,7 +116,7 @@ def anneal_frames(
     seeds = np.array([*given, problem.random_codes(frames, rng=rng)], dtype=np.int8)
     elites.offer(seeds[[bool(problem.satisfied(codes).all()) for codes in seeds]])
     free = problem.free_chips
-    interrupted = False
+    interrupted = stopped = False
     try:
         if free.size:
             joint = _Joint.of(elites.coarse, frames, free)
@@ -127,12 +127,18 @@ def anneal_frames(
                     round_number += 1
             interrupted = steps is not None and budget.done < steps
     except KeyboardInterrupt:
-        interrupted = True
+        interrupted = stopped = True
     ranked = elites.ranked(frames)
+    best, ends_s = ranked[0], budget.polish_ends(stopped=stopped)
     try:
-        best = polish_jointly(problem, ranked)
+        for best, done in polish_jointly(problem, ranked):
+            if progress is not None:
+                progress(MOVES_SHARE + (1 - MOVES_SHARE) * done, _as_codes(best))
+            if budget.elapsed() > ends_s:
+                interrupted = interrupted or steps is not None
+                break
     except KeyboardInterrupt:
-        interrupted, best = True, ranked[0]
+        interrupted = True
     codes = _as_codes(best)
     cost = float(joint_cost(Objective(problem, oversampling=64, dtype=np.float64), best[None])[0])
     return FramesResult(codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.done, interrupted)
@@ -218,7 +224,7 @@ def _round(
                 job.result()
             budget.done += count * _CHAINS
             if progress is not None:
-                progress(budget.used(), _as_codes(best[0]))
+                progress(MOVES_SHARE * budget.used(), _as_codes(best[0]))
             if budget.elapsed() >= budget.time_s:
                 break
     finally:

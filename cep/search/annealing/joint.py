@@ -11,7 +11,7 @@ Agrawal, Xu and Raskar, "Invertible motion blur in video", SIGGRAPH 2009: exposu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from cep.band import straight_axis
 from cep.code import ShutterCode
+from cep.search.annealing.nearby import otf_nearby
 from cep.search.annealing.polish import neighbours
 from cep.search.annealing.tables import lay_out
 from cep.search.annealing.terms import Tables
@@ -30,7 +31,7 @@ __all__ = ["JointFigures", "joint_cost", "joint_figures", "joint_tables", "polis
 Codes = NDArray[np.int8]
 FloatArray = NDArray[np.float64]
 _FINE = 64
-_BATCH = 2**21  # numbers evaluated at once: 16 MB
+_BATCH = 2**18  # numbers of an OTF evaluated at once: they stay in the cache
 _MOST_WORK = 2**37  # multiplications for all swaps of a frame; beyond, the polish leaves them out
 _ZERO_POWER = 1e-24  # smaller is rounding
 
@@ -91,17 +92,28 @@ def joint_tables(objective: Objective, frames: int) -> Tables:
     return tables._replace(rows=np.tile(tables.rows, (frames, 1, 1, 1, 1)), light=light)
 
 
-def polish_jointly(problem: SearchProblem, ranked: Codes) -> Codes:
-    """Climb on the fine grid from the best of (R, M, n) codes, over flips and swaps within each frame; (M, n)."""
+def polish_jointly(problem: SearchProblem, ranked: Codes) -> Iterator[tuple[Codes, float]]:
+    """Climb on the fine grid from the best of (R, M, n) codes, over flips and swaps within each frame.
+
+    Yields
+    ------
+    (M, n) int8, float
+        The best so far, and the fraction done; after every piece of work, so that the caller may stop.
+    """
     fine = Objective(problem, oversampling=_FINE, dtype=np.float64)
     curved = any(straight_axis(scenario.trajectory) is None for scenario in problem.scenarios)
     costs = np.concatenate([joint_cost(fine, codes[None]) for codes in ranked])
     leaders = np.argsort(costs, kind="stable")[: 1 if curved else 4]
-    climbed = [_climb(fine, ranked[leader].copy(), float(costs[leader])) for leader in leaders]
-    return min(climbed, key=lambda pair: pair[0])[1]
+    best, lowest = ranked[leaders[0]], float(costs[leaders[0]])
+    for number, leader in enumerate(leaders):
+        for cost, codes in _climb(fine, ranked[leader].copy(), float(costs[leader])):
+            if cost < lowest:
+                best, lowest = codes.copy(), cost
+            yield best, number / len(leaders)
 
 
-def _climb(fine: Objective, codes: Codes, cost: float) -> tuple[float, Codes]:
+def _climb(fine: Objective, codes: Codes, cost: float) -> Iterator[tuple[float, Codes]]:
+    """Change the codes in place until no neighbour is better; where they stand, after every piece of work."""
     frames, chips = codes.shape
     step = max(1, _BATCH // fine.rows[0].size)
     swaps = chips**2 // 4 * fine.rows[0].size * chips <= _MOST_WORK
@@ -109,18 +121,20 @@ def _climb(fine: Objective, codes: Codes, cost: float) -> tuple[float, Codes]:
     while stuck < frames:
         others = np.delete(codes, frame, axis=0)
         power, duty = _power(fine, others).sum(axis=0), fine.duty(others).sum()
+        otf = fine.otf(codes[frame][None])[0]
         near = neighbours(fine.problem, codes[frame], swaps=swaps)
-        batches = [near[first : first + step] for first in range(0, len(near), step)]
-        judged = [
-            _cost_of_power(fine, _power(fine, batch) + power, (fine.duty(batch) + duty) / frames) for batch in batches
-        ]
-        found = np.concatenate(judged) if judged else np.array([np.inf])
-        best = int(found.argmin())
-        if found[best] < cost - 1e-9:
+        found = np.full(len(near), np.inf)
+        for first in range(0, len(near), step):
+            batch = near[first : first + step]
+            own = (otf_nearby(fine, codes[frame], otf, batch) ** 2).sum(axis=1)
+            found[first : first + step] = _cost_of_power(fine, own + power, (fine.duty(batch) + duty) / frames)
+            yield cost, codes
+        best = int(found.argmin()) if found.size else 0
+        if found.size and found[best] < cost - 1e-9:
             cost, codes[frame], stuck = float(found[best]), near[best], 0
         else:
             frame, stuck = (frame + 1) % frames, stuck + 1
-    return cost, codes
+        yield cost, codes
 
 
 def _power(objective: Objective, codes: NDArray[Any]) -> NDArray[Any]:
