@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from skimage import data
 
 from cep.baselines.published import published
@@ -257,6 +258,23 @@ def test_a_hidden_direction_is_found(light_true):
         assert found == pytest.approx(told, abs=0.05)
     wrong = take_photo(**shown(BENT.reversed(), assumed=replace(BENT, direction="known"), **options))["psnr_db"]
     assert wrong < told - 3
+
+
+@pytest.mark.parametrize(("length_px", "lost_db"), [(32.0, 0.01), (30.7, 0.5)])
+def test_a_scene_that_is_merely_displaced_is_as_good(length_px, lost_db):
+    """A snapshot at the end of a straight motion, taken for one at its start: the same PSF, 20 px or less away.
+
+    Two of 16 chips are open, their middle at 13/16 of the path.
+    """
+    straight = Trajectory.straight(length_px)
+    scene = ndimage.gaussian_filter(blocks(128), 1.5)  # of sharp steps, sampling between pixels would ring
+    options = {"bits": "0" * 12 + "1100", "scene": scene, "camera": Camera(photons_full_scale=1e5).to_dict()}
+    told = take_photo(**shown(straight, **options))["psnr_db"]
+    backwards = replace(straight.reversed(), direction="known")
+    assert take_photo(**shown(straight, assumed=backwards, **options))["psnr_db"] == pytest.approx(told, abs=lost_db)
+    # a PSF of another shape is no better for lying where it should
+    across = replace(Trajectory.straight(length_px, angle_rad=1.5), direction="known")
+    assert take_photo(**shown(straight, assumed=across, **options))["psnr_db"] < told - 3
 
 
 def test_run_backwards_a_code_is_its_mirror_image():

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from cep.bench.coded.designs import Known, designed
 from cep.camera import Camera, visible
@@ -173,10 +174,29 @@ def photographed(
     rng = np.random.default_rng([seed, 3])
     sensor = Camera.from_dict(camera)
     photo = _exposed(shown, scale * psf, borders=borders, camera=sensor, rng=rng)
-    used = scale * (psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code))
+    found = psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
+    # Where a scene lies no photo can tell: run backwards, a short exposure at the end of a straight path is one at its
+    # start, the same PSF elsewhere. Restored with it, the scene is as good and merely displaced.
+    away_px = _displacement_px(found, psf)
+    whole_px = np.round(away_px).astype(int)
+    used = scale * _moved(found, whole_px)
     told: dict[str, Any] = {"camera": sensor} if restoration == "wiener" else {}
-    restored = np.clip(restore(photo, used, method=restoration, border_rounds=border_rounds, **told).image, 0, 1)
+    restored = restore(photo, used, method=restoration, border_rounds=border_rounds, **told).image
+    if (rest_px := whole_px - away_px).any():
+        restored = ndimage.shift(restored, rest_px, order=5, mode="nearest")
+    restored = np.clip(restored, 0, 1)
     return Taken(photo, psf, restored, shown if borders == "symmetric" else visible(shown, PSF_PX))
+
+
+def _displacement_px(psf: FloatArray, other: FloatArray) -> FloatArray:
+    """From the centroid of ``psf`` to that of ``other``, (2,): down and right."""
+    of_one, of_other = (np.array(ndimage.center_of_mass(one)) - np.array(one.shape) // 2 for one in (psf, other))
+    return np.asarray(of_other - of_one, dtype=np.float64)
+
+
+def _moved(psf: FloatArray, by_px: NDArray[np.int_]) -> FloatArray:
+    """Move a PSF by whole pixels, in a frame that holds it."""
+    return np.roll(np.pad(psf, int(np.abs(by_px).max())), by_px, axis=(0, 1))
 
 
 def _assumed_psf(photo: FloatArray, path: Trajectory, code: ShutterCode) -> FloatArray:
