@@ -19,6 +19,7 @@ from motdiff.crops import luminance
 
 __all__ = [
     "CODE_SCHEMA",
+    "FRONT_SCHEMA",
     "PSF_SUFFIXES",
     "StoredCode",
     "json_text",
@@ -31,6 +32,7 @@ __all__ = [
 ]
 
 CODE_SCHEMA = "cep.code/1"
+FRONT_SCHEMA = "cep.front/1"
 PSF_SUFFIXES = (".npy", ".mat", ".png")
 
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import re
+import zlib
 from pathlib import Path
 
 from cep.bench.layout import TABLES_SCHEMA
 from cep.calibrate import CALIBRATION_FILES
-from cep.files import CODE_SCHEMA, PSF_SUFFIXES
+from cep.files import CODE_SCHEMA, FRONT_SCHEMA, PSF_SUFFIXES
 from cep.images import PICTURE_SUFFIXES
 from motdiff.files import SCHEMA as MOTION_SCHEMA
 
 __all__ = ["left_by_us"]
 
-_FIGURED = (TABLES_SCHEMA, "cep.front/1")
+_FIGURED = (TABLES_SCHEMA, FRONT_SCHEMA)
 _HEAD = re.compile(rb'\{\s*"schema"\s*:\s*"([^"]*)"')
 _HEAD_BYTES = 200  # annotations of photos may be large
 
@@ -82,7 +83,7 @@ def _has_psf(folder: Path, stem: str) -> bool:
 
     try:
         return [name for name, *_ in whosmat(str(folder / f"{stem}.mat"))] == ["psf"]
-    except (MatReadError, ValueError, TypeError, NotImplementedError):  # somebody else's
+    except (MatReadError, ValueError, TypeError, KeyError, NotImplementedError, zlib.error):  # somebody else's
         return False
 
 

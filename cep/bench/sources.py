@@ -64,7 +64,8 @@ def all_sources() -> str:
     for package in _OURS:
         init = _file(package)
         assert init is not None  # this is one of its modules
-        for path in sorted(path for path in init.parent.rglob("*") if path.suffix in _COUNTING and path.is_file()):
+        found = (path for path in init.parent.rglob("*") if path.suffix in _COUNTING and path.is_file())
+        for path in sorted(found, key=Path.as_posix):  # the same order on every system
             name = f"{package}/{path.relative_to(init.parent).as_posix()}"
             digest.update(f"{name}:{hashlib.sha256(path.read_bytes()).hexdigest()};".encode())
     return digest.hexdigest()

@@ -66,8 +66,9 @@ def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
     """Yield fingerprints with what came of them, from the Dask cluster whose scheduler is at ``address``.
 
     Dask runs the cells of a lost worker again on another one; what a worker sent counts once. Workers must have the
-    sources and weights that are here, those that join later too: figures are kept under the versions of these. Other
-    versions of NumPy and the like may do, and are told by each result's machine.
+    sources and weights that are here, and so must those that join later: figures are kept under the versions of these.
+    One that joins later without this program, or with one too old to be asked, is not told of, and the run waits for
+    it. Other versions of NumPy and the like may do, and are told by each result's machine.
 
     Raises
     ------

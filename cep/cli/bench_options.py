@@ -45,7 +45,13 @@ Workers = Annotated[
     int | None, typer.Option("--workers", min=1, help="Processes, one thread each; as many as cores when omitted.")
 ]
 Gyro = Annotated[Path | None, typer.Option("--gyro", help="Recording of a gyroscope, for the hand shake of ours.")]
-Dask = Annotated[str | None, typer.Option("--dask", help="Scheduler of a Dask cluster to run on, as tcp://host:8786.")]
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        "--dask",
+        help="Scheduler of a Dask cluster to run on, as tcp://host:8786; photos must lie at the same paths there.",
+    ),
+]
 Cache = Annotated[
     Path | None,
     typer.Option("--cache", help="Folder of finished cells, found again; cells in the output when omitted."),

@@ -26,9 +26,8 @@ if TYPE_CHECKING:
 
     from cep.search.fronts.front import Front, FrontPoint
 
-__all__ = ["FRONT_SCHEMA", "pareto"]
+__all__ = ["pareto"]
 
-FRONT_SCHEMA = "cep.front/1"
 
 _FIGURES = (".png", ".pdf", ".svg")
 
@@ -84,7 +83,7 @@ def pareto(
 
     from cep.baselines.published import for_chips
     from cep.cli.search_options import DIRECTIONS, open_limits
-    from cep.files import json_text
+    from cep.files import FRONT_SCHEMA, json_text
     from cep.outputs import claim, write_text
     from cep.plots.canvas import save
     from cep.plots.pareto import pareto_figure

@@ -583,7 +583,7 @@ def test_stopped_it_tells_and_goes_on_later(tmp_path, photos, guesses):
     ("names", "message"),
     [(["open", "theirs"], "designs: must be among open, .*'theirs'"), (["open", "open"], "each must come once")],
 )
-def test_designs_are_refused_before_any_work(tmp_path, names, message):
+def test_designs_are_refused_before_any_work(tmp_path, photos, names, message):
     with pytest.raises(ValueError, match=message):
         measure_coded(TINY, photos, cache=tmp_path / "cells", designs=names)
     assert not (tmp_path / "cells").exists()

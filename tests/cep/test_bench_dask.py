@@ -76,7 +76,8 @@ class Cluster:
 
 
 @pytest.fixture
-def cluster(tmp_path):
+def cluster(tmp_path, monkeypatch):
+    monkeypatch.setattr("cep.bench.spread._WORKERS_S", 60.0)  # a busy machine is slow to start one
     all_sources.cache_clear()  # somebody may have edited them since the last test
     made = Cluster(tmp_path)
     try:
@@ -281,11 +282,11 @@ def test_a_worker_with_other_sources_that_joins_later_makes_nothing(cluster, tmp
 
     def replace_it(fraction, _note):
         if not later and fraction >= 0.2:
+            first.kill()  # before it has made the rest
             later.extend(cluster.add_workers(1, root=copy))
-            first.kill()
 
     with pytest.raises(RuntimeError, match=r"worker at tcp://.* has another state of this program") as caught:
-        run_cells(cells(log), cache=cache, dask=cluster.address, progress=replace_it)
+        run_cells(cells(log, slow_s=0.5), cache=cache, dask=cluster.address, progress=replace_it)
     assert "run again to go on" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert {int(pid) for _, pid, _ in events(log)} == {first.pid}

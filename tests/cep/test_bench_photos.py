@@ -6,10 +6,9 @@ from scipy.io import savemat
 
 from cep.bench.layout import made_json
 from cep.bench.photos import bundled_photos, crop, layout_of, photo_folder, pick
-from cep.cli.pareto import FRONT_SCHEMA
 from cep.code import ShutterCode
 from cep.demo import DEMO_FILES
-from cep.files import StoredCode, write_code, write_psf
+from cep.files import FRONT_SCHEMA, StoredCode, write_code, write_psf
 from cep.images import read_image, write_image
 from motdiff.files import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory

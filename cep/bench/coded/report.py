@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cep.bench.coded.picture import coded_figure
+from cep.bench.coded.protocol import CodedProtocol
 from cep.bench.coded.run import CodedTable
 from cep.bench.coded.tables import harmed, shots_csv
 from cep.bench.coded.told import ESTIMATORS
@@ -93,6 +94,13 @@ def _figure(measured: CodedTable) -> Figure:
     )
 
 
+def _light(protocol: CodedProtocol) -> str:
+    if not protocol.photons:
+        return ""
+    said = f", motions estimated at {protocol.calibration_photons:,.0f} photo-electrons"
+    return said + (", codes searched for each light level" if protocol.objective == "mse" else "")
+
+
 def _introduction(measured: CodedTable, command: str, warnings: Sequence[str]) -> str:
     protocol = measured.protocol
     photos = len({shot.photo for shot in measured.shots})
@@ -106,10 +114,11 @@ def _introduction(measured: CodedTable, command: str, warnings: Sequence[str]) -
         "# The coded-exposure table",
         "",
         f"Made by `{command}`, protocol `{protocol.name}`, seed {protocol.seed}, on {machines or 'no machine'}.",
-        f"{photos} photos, {protocol.motions} motions each. {protocol.chips} chips (DCE: 32); searches keep "
-        f"{protocol.open_range[0]} to {protocol.open_range[1]} of them open and have {protocol.steps:,} moves each for "
-        f"`{protocol.objective}` (DNF: always `noise`, of a straight blur); snapshots, strobes and published codes are "
-        f"as they are. Restored by `{protocol.restoration}`{_RESTORED_BY[protocol.restored_by]}",
+        f"{photos} photos, {protocol.motions} motions each{_light(protocol)}. {protocol.chips} chips (DCE: 32); "
+        f"searches keep {protocol.open_range[0]} to {protocol.open_range[1]} of them open and have "
+        f"{protocol.steps:,} moves each for `{protocol.objective}` (DNF: always `noise`, of a straight blur); "
+        "snapshots, strobes and published codes are as they are. "
+        f"Restored by `{protocol.restoration}`{_RESTORED_BY[protocol.restored_by]}",
         ""
         if protocol.photons
         else "Every photo has the light of the open shutter, as if coding cost none: snapshots and "
@@ -123,7 +132,7 @@ def _introduction(measured: CodedTable, command: str, warnings: Sequence[str]) -
             if values
         ),
         *(
-            f"\n{name}: noise gain in the worse direction above the open shutter's in {bad} of {count}."
+            f"\n{name}: noise gain in the worse direction above the open shutter's in {bad} of {count} photos."
             for name, (bad, count) in counts.items()
             if count
         ),

@@ -24,7 +24,7 @@ __all__ = ["CodedTable", "Shot", "measure_coded", "scene_px"]
 
 Say = Callable[[float, str], None]
 
-_STAGES = {"motion": (0.0, 0.4), "code": (0.4, 0.6), "photo": (0.6, 1.0)}  # of the progress
+_STAGES = {"motion": (0.0, 0.25), "code": (0.25, 0.65), "photo": (0.65, 1.0)}  # of the progress
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,8 @@ def measure_coded(
             choose_code,
             {
                 "known": knows, "design": design, "chips": protocol.chips, "open_range": protocol.open_range,
-                "objective": protocol.objective, "camera": protocol.camera(_designed_for(design, level)).to_dict(),
+                "objective": protocol.objective,
+                "camera": protocol.camera(_designed_for(design, protocol.objective, level)).to_dict(),
                 "steps": protocol.steps, "seed": protocol.seed + index,
             },
             version=versions[design],
@@ -238,11 +239,11 @@ def _cut(protocol: CodedProtocol, photo: str) -> Cut:
     return Cut(scene_px(protocol), gamma, (protocol.seed, 5, *photo.encode()))
 
 
-def _designed_for(design: str, level: float | None) -> float | None:
-    # what knows no path is not searched for any light: one cell serves all levels
-    return None if DESIGNS[design].path in ("none", "length") else level
+def _designed_for(design: str, objective: str, level: float | None) -> float | None:
+    # only a Wiener filter's error depends on the light, and only along a path: otherwise one cell serves all levels
+    return level if objective == "mse" and DESIGNS[design].path not in ("none", "length") else None
 
 
 def _seed(protocol: CodedProtocol, photo: str, index: int) -> int:
-    # By the photo's name, so that a photo's noise does not depend on which others are there.
+    # By the photo's name, not its number: others that are added change nothing, unless two have one name.
     return int(np.random.SeedSequence([protocol.seed, index, *photo.encode()]).generate_state(1)[0])

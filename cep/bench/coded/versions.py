@@ -12,7 +12,8 @@ __all__ = ["code_version", "motion_version", "photo_version"]
 
 _DENOISER = Path(__file__).parents[2] / "restore" / "denoiser" / "denoiser.safetensors"
 _STAGES = "cep.bench.coded.stages"
-_TAKING = (_STAGES, "cep.bench.coded.work", "cep.bench.scenes", "cep.bench.photos", "cep.images")  # from the file on
+_TAKING = (_STAGES, "cep.bench.coded.work", "cep.bench.scenes", "cep.bench.photos", "cep.images", "motdiff.crops")
+"""From the file on."""
 _ESTIMATED: dict[str, tuple[str, Path]] = {
     "motdiff-quick": ("motdiff.estimators.motdiff", DEFAULT_WEIGHTS),
     "parametric": ("motdiff.estimators.parametric", PATH_WEIGHTS),
@@ -32,7 +33,7 @@ _CHOSEN = {
 
 
 def motion_version(method: str) -> str:
-    """Fingerprint of what estimates a motion: an estimator of :data:`cep.bench.coded.run.ESTIMATORS`."""
+    """Fingerprint of what estimates a motion: an estimator of :data:`cep.bench.coded.told.ESTIMATORS`."""
     module, weights = _ESTIMATED[method]
     used = [module, "motdiff.metrics", "motdiff.simulate", "cep.camera"]
     return source_version(used, alone=[*_TAKING, "motdiff.evaluation.methods"], files=[weights])

@@ -137,6 +137,8 @@ def anneal_frames(
             if budget.elapsed() > ends_s:
                 interrupted = interrupted or steps is not None
                 break
+        if progress is not None:
+            progress(1.0, _as_codes(best))
     except KeyboardInterrupt:
         interrupted = True
     codes = _as_codes(best)
