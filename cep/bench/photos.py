@@ -15,7 +15,7 @@ from cep.bench.pairs import rsblur_pairs
 from cep.images import PICTURE_SUFFIXES, read_image
 from motdiff.crops import luminance
 
-__all__ = ["Layout", "bundled_photos", "crop", "layout_of", "photo_folder", "pick"]
+__all__ = ["BUNDLED_WARNING", "Layout", "bundled_photos", "crop", "layout_of", "photo_folder", "pick"]
 
 FloatArray = NDArray[np.float64]
 
@@ -36,6 +36,7 @@ _BUNDLED = (  # those that a quick run picks are the first and the sixth
     "ihc.png",
     "retina.jpg",
 )
+BUNDLED_WARNING = "photos are those of scikit-image: too few and too odd for a claim, name a folder with --data"
 
 
 def bundled_photos() -> tuple[Path, ...]:

@@ -105,14 +105,14 @@ def cep_job(
 def _photos(data: Path | None, protocol: CodedProtocol) -> tuple[dict[str, Path], list[str]]:
     """Pick the sharp photos, and say what keeps them from being what the protocol asks for."""
     from cep.bench.coded.run import scene_px
-    from cep.bench.photos import bundled_photos, photo_folder, pick
+    from cep.bench.photos import BUNDLED_WARNING, bundled_photos, photo_folder, pick
     from cep.bench.scenes import labels_of
 
     paths = bundled_photos() if data is None else photo_folder(data)
     picked = pick(paths, protocol.photos, least_px=scene_px(protocol))
     warnings = []
     if data is None:
-        warnings.append("photos are those of scikit-image: too few and too odd for a claim, name a folder with --data")
+        warnings.append(BUNDLED_WARNING)
     if len(picked) < protocol.photos:
         warnings.append(f"{len(picked)} photos are large enough, the protocol asks for {protocol.photos}")
     return dict(zip(labels_of(picked), picked, strict=True)), warnings

@@ -12,7 +12,7 @@ from cep.bench.blind.protocol import Protocol
 from cep.bench.blind.shakes import drawn_shakes
 from cep.bench.blind.work import CEILINGS, FLOORS, measure_levin, measure_real, measure_simulated
 from cep.bench.cells import Cell
-from cep.bench.photos import Layout, bundled_photos, layout_of, photo_folder, pick
+from cep.bench.photos import BUNDLED_WARNING, Layout, bundled_photos, layout_of, photo_folder, pick
 from cep.bench.scenes import labels_of
 from motdiff.evaluation.floors import mean_psf
 from motdiff.gyro import GyroTrace
@@ -133,7 +133,7 @@ def _of_sharp(protocol: Protocol, methods: Sequence[str], folder: Path | None, t
     warnings = []
     carried = {path.parent for path in bundled_photos()}
     if any(photo.absolute().parent in carried for photo in photos):
-        warnings.append("photos are those of scikit-image: too few and too odd for a claim, name a folder with --data")
+        warnings.append(BUNDLED_WARNING)
     if len(photos) < protocol.photos:
         warnings.append(f"{len(photos)} photos instead of the {protocol.photos} of the protocol: there are no more")
     if protocol.motion.gyro > 0 and trace is None:

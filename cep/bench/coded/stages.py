@@ -19,7 +19,7 @@ from cep.code import ShutterCode
 from cep.exposure import coded_psf
 from cep.mtf import CodeMetrics, measure
 from cep.restore import restore
-from cep.restore.direction import compare_psfs
+from cep.restore.direction import test_directions
 from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift
 from motdiff.simulate import blur_symmetric, blur_valid
 from motdiff.trajectory import Trajectory
@@ -200,11 +200,9 @@ def _moved(psf: FloatArray, by_px: NDArray[np.int_]) -> FloatArray:
 
 
 def _assumed_psf(photo: FloatArray, path: Trajectory, code: ShutterCode) -> FloatArray:
-    size = max(PSF_PX, path.frame_size(), path.reversed().frame_size())
-    forward = coded_psf(path, code, size)
     if path.direction == "known" or code.bits == code.bits[::-1]:
-        return forward
-    return compare_psfs(photo, forward, coded_psf(path.reversed(), code, size)).psf
+        return coded_psf(path, code, max(PSF_PX, path.frame_size()))
+    return test_directions(photo, path, code, size=PSF_PX).psf
 
 
 def _exposed(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ __all__ = [
 
 Codes = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
+_Piece = TypeVar("_Piece")
 _SEARCH_OVERSAMPLING = 8  # coarse: the polish judges on 64 and the continuum
 _HOT_DB = {"min-mtf": 0.8, "noise": 0.3, "flatness": 0.1, "mse": 0.1}  # as their single moves differ: docs/decisions.md
 _HOT_CHIPS, _HOTTEST = 52, 4.0  # these temperatures are for so many chips; fewer are at most so much hotter
@@ -124,9 +126,39 @@ class Budget:
         """Whether neither the moves nor the time is used up."""
         return self.elapsed() < self.time_s and (self.steps is None or self.done < self.steps)
 
-    def polish_ends(self, *, stopped: bool) -> float:
-        """Say at which elapsed second a closing polish must end: sooner once Ctrl-C has stopped the search."""
-        return self.elapsed() + _POLISH_S if stopped else self.time_s + max(_POLISH_S, _POLISH_SHARE * self.time_s)
+    def polished(
+        self, pieces: Iterable[_Piece], tell: Callable[[_Piece, bool], None], *, stopped: bool
+    ) -> tuple[_Piece | None, bool]:
+        """Take the pieces of a closing polish until it ends or must: sooner once Ctrl-C has stopped the search.
+
+        Parameters
+        ----------
+        pieces : iterable
+            Each the best so far.
+        tell : callable
+            Called with each piece and False, and at the end with the last one and True. It may raise KeyboardInterrupt.
+        stopped : bool
+
+        Returns
+        -------
+        The last piece, None where there was none, and whether Ctrl-C or, of a search of so many moves, the time cut it
+        off.
+        """
+        ends_s = self.elapsed() + _POLISH_S if stopped else self.time_s + max(_POLISH_S, _POLISH_SHARE * self.time_s)
+        last: _Piece | None = None
+        cut = False
+        try:
+            for piece in pieces:
+                last = piece
+                tell(piece, False)
+                if self.elapsed() > ends_s:
+                    cut = self.steps is not None
+                    break
+            if last is not None:
+                tell(last, True)
+        except KeyboardInterrupt:
+            cut = True
+        return last, cut
 
     def chain(self, round_number: int) -> int:
         """Say how many moves each chain of a round makes."""
@@ -207,24 +239,17 @@ def anneal(
             interrupted = steps is not None and budget.done < steps
     except KeyboardInterrupt:
         interrupted = stopped = True
-    ends_s = budget.polish_ends(stopped=stopped)
-    polished: Polished | None = None
-    try:
-        for polished in polish(problem, elites.ranked()):
-            if progress is not None:
-                progress(MOVES_SHARE + (1 - MOVES_SHARE) * polished.done, polished.code)
-            if budget.elapsed() > ends_s:
-                interrupted = interrupted or steps is not None
-                break
-        if progress is not None and polished is not None:
-            progress(1.0, polished.code)
-    except KeyboardInterrupt:
-        interrupted = True
+
+    def told(piece: Polished, over: bool) -> None:
+        if progress is not None:
+            progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece.done, piece.code)
+
+    polished, cut = budget.polished(polish(problem, elites.ranked()), told, stopped=stopped)
     if polished is None:
         best = elites.best()
         polished = Polished(best, Objective(problem, oversampling=64, dtype=np.float64).exact_cost(best), 1.0)
     metrics = problem.measure(polished.code)
-    return SearchResult(polished.code, polished.cost, metrics, budget.elapsed(), budget.done, interrupted)
+    return SearchResult(polished.code, polished.cost, metrics, budget.elapsed(), budget.done, interrupted or cut)
 
 
 def standard_moves(problem: SearchProblem) -> int:

@@ -129,21 +129,16 @@ def anneal_frames(
     except KeyboardInterrupt:
         interrupted = stopped = True
     ranked = elites.ranked(frames)
-    best, ends_s = ranked[0], budget.polish_ends(stopped=stopped)
-    try:
-        for best, done in polish_jointly(problem, ranked):
-            if progress is not None:
-                progress(MOVES_SHARE + (1 - MOVES_SHARE) * done, _as_codes(best))
-            if budget.elapsed() > ends_s:
-                interrupted = interrupted or steps is not None
-                break
+
+    def told(piece: tuple[NDArray[np.int8], float], over: bool) -> None:
         if progress is not None:
-            progress(1.0, _as_codes(best))
-    except KeyboardInterrupt:
-        interrupted = True
+            progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece[1], _as_codes(piece[0]))
+
+    polished, cut = budget.polished(polish_jointly(problem, ranked), told, stopped=stopped)
+    best = ranked[0] if polished is None else polished[0]
     codes = _as_codes(best)
     cost = float(joint_cost(Objective(problem, oversampling=64, dtype=np.float64), best[None])[0])
-    return FramesResult(codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.done, interrupted)
+    return FramesResult(codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.done, interrupted or cut)
 
 
 @dataclass
