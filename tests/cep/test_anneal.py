@@ -183,7 +183,7 @@ def test_time_limit_ends_a_search():
 @pytest.mark.parametrize("ends", ["in time", "late", "ctrl-c"])
 def test_a_polish_ends_with_the_time_or_ctrl_c(monkeypatch, ends):
     problem, clock, told = SearchProblem(chips=40, open_range=(20, 20)), [0.0], []
-    monkeypatch.setattr("cep.search.annealing.anneal.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("cep.search.annealing.budget.time.monotonic", lambda: clock[0])
 
     def progress(fraction, best):
         told.append((fraction, best))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from cep.band import straight_axis
 from cep.code import ShutterCode
 from cep.mtf import CodeMetrics
+from cep.search.annealing.budget import CHAINS, Budget
 from cep.search.annealing.chains import Cooling, Crew, Walks
 from cep.search.annealing.polish import Polished, polish
 from cep.search.annealing.tables import lay_out
@@ -24,7 +24,6 @@ __all__ = [
     "MOST_SWAPS",
     "MOVES_SHARE",
     "REHEATED",
-    "Budget",
     "SearchResult",
     "anneal",
     "hottest_db",
@@ -33,21 +32,17 @@ __all__ = [
 
 Codes = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
-_Piece = TypeVar("_Piece")
 _SEARCH_OVERSAMPLING = 8  # coarse: the polish judges on 64 and the continuum
 _HOT_DB = {"min-mtf": 0.8, "noise": 0.3, "flatness": 0.1, "mse": 0.1}  # as their single moves differ: docs/decisions.md
 _HOT_CHIPS, _HOTTEST = 52, 4.0  # these temperatures are for so many chips; fewer are at most so much hotter
 COOLING = 3.0  # hottest over coldest
-_CHAINS = 8  # of a round: enough for most machines' cores, and the outcome must not depend on their number
 _WALKS_STRAIGHT, _WALKS_OTHERS = 6, 2  # chains of later rounds that walk instead
 _SHORT = 64  # chips to which walks are worth more than cooling on straight motion
 MOST_SWAPS = 2**12  # of a code whose every neighbour is worth a look in each step: to 128 chips
 REHEATED = 0.6
-_SHORTEST, _LONGEST = 2**15, 2**22  # moves of a chain in the first and the last rounds
 _ELITES = 32
 _POOL = 8  # of the best, from which walks start
 _STANDARD_WORK = 2**33  # moves times frequencies after which more rarely find a better code
-_POLISH_SHARE, _POLISH_S = 0.1, 0.5  # of the time limit, or seconds if that is more: what the polish may take on top
 MOVES_SHARE = 0.9  # of the fraction done that is told: the rest is the polish
 
 
@@ -97,79 +92,6 @@ class _Elites:
 
     def best(self) -> ShutterCode:
         return ShutterCode.from_array(self.ranked()[0])
-
-
-@dataclass
-class Budget:
-    """Moves and seconds: how much of them is used, and whether any is left."""
-
-    steps: int | None
-    time_s: float
-    began: float
-    done: int = 0
-
-    def __post_init__(self) -> None:
-        if self.steps is not None and self.steps < 1:
-            raise ValueError(f"steps: must be at least 1, got {self.steps}")
-        if not self.time_s > 0:
-            raise ValueError(f"time_s: must be above 0 seconds, got {self.time_s}")
-
-    def used(self) -> float:
-        """Fraction used, 0..1."""
-        return min(1.0, max(self.elapsed() / self.time_s, 0.0 if self.steps is None else self.done / self.steps))
-
-    def elapsed(self) -> float:
-        """Seconds since it began."""
-        return time.monotonic() - self.began
-
-    def left(self) -> bool:
-        """Whether neither the moves nor the time is used up."""
-        return self.elapsed() < self.time_s and (self.steps is None or self.done < self.steps)
-
-    def polished(
-        self, pieces: Iterable[_Piece], tell: Callable[[_Piece, bool], None], *, stopped: bool
-    ) -> tuple[_Piece | None, bool]:
-        """Take the pieces of a closing polish until it ends or must: sooner once Ctrl-C has stopped the search.
-
-        Parameters
-        ----------
-        pieces : iterable
-            Each the best so far.
-        tell : callable
-            Called with each piece and False, and at the end with the last one and True. It may raise KeyboardInterrupt.
-        stopped : bool
-
-        Returns
-        -------
-        The last piece, None where there was none, and whether Ctrl-C or, of a search of so many moves, the time cut it
-        off.
-        """
-        ends_s = self.elapsed() + _POLISH_S if stopped else self.time_s + max(_POLISH_S, _POLISH_SHARE * self.time_s)
-        last: _Piece | None = None
-        cut = False
-        try:
-            for piece in pieces:
-                last = piece
-                tell(piece, False)
-                if self.elapsed() > ends_s:
-                    cut = self.steps is not None
-                    break
-            if last is not None:
-                tell(last, True)
-        except KeyboardInterrupt:
-            cut = True
-        return last, cut
-
-    def chain(self, round_number: int) -> int:
-        """Say how many moves each chain of a round makes."""
-        wanted: int = min(_SHORTEST << round_number, _LONGEST)
-        if self.steps is not None:
-            return min(wanted, -(-(self.steps - self.done) // _CHAINS))
-        if not self.done:
-            return wanted
-        # a chain that the clock cuts off has cooled for nothing
-        affordable = self.done / max(self.elapsed(), 1e-3) * (self.time_s - self.elapsed()) / _CHAINS
-        return max(256, min(wanted, int(0.95 * affordable)))
 
 
 def anneal(
@@ -244,12 +166,11 @@ def anneal(
         if progress is not None:
             progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece.done, piece.code)
 
-    polished, cut = budget.polished(polish(problem, elites.ranked()), told, stopped=stopped)
-    if polished is None:
-        best = elites.best()
-        polished = Polished(best, Objective(problem, oversampling=64, dtype=np.float64).exact_cost(best), 1.0)
-    metrics = problem.measure(polished.code)
-    return SearchResult(polished.code, polished.cost, metrics, budget.elapsed(), budget.done, interrupted or cut)
+    best = elites.best()
+    found = Polished(best, Objective(problem, oversampling=64, dtype=np.float64).exact_cost(best), 0.0)
+    found, cut = budget.polished(found, polish(problem, elites.ranked()), told, stopped=stopped)
+    metrics = problem.measure(found.code)
+    return SearchResult(found.code, found.cost, metrics, budget.elapsed(), budget.done, interrupted or cut)
 
 
 def standard_moves(problem: SearchProblem) -> int:
@@ -287,12 +208,12 @@ def _plans(
     if not (first or problem.limits_runs or problem.chips**2 // 4 > MOST_SWAPS):
         straight = all(straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios)
         walks = _WALKS_STRAIGHT if straight and problem.chips <= _SHORT else _WALKS_OTHERS
-    cooled = _CHAINS - walks
+    cooled = CHAINS - walks
     codes = problem.random_codes(cooled, rng=rng).astype(np.int8)
     best = elites.ranked()
     kept = min(len(best), cooled if first else cooled // 2)
     codes[:kept] = best[:kept]
-    seeds = [int(seed) for seed in rng.integers(1, 2**62, _CHAINS)]
+    seeds = [int(seed) for seed in rng.integers(1, 2**62, CHAINS)]
     heats = [hot if first or index >= kept else REHEATED * hot for index in range(cooled)]
     chains = [
         Cooling(*plan) for plan in zip(codes, heats, [hot / COOLING] * cooled, [moves] * cooled, seeds, strict=False)

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.code import ShutterCode
-from cep.search.annealing.anneal import COOLING, MOVES_SHARE, REHEATED, Budget, hottest_db
+from cep.search.annealing.anneal import COOLING, MOVES_SHARE, REHEATED, hottest_db
+from cep.search.annealing.budget import CHAINS, Budget
 from cep.search.annealing.cooling import cool
 from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables, polish_jointly
 from cep.search.annealing.proposals import Limits
@@ -35,7 +36,6 @@ Codes = NDArray[np.int8]
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float, tuple[ShutterCode, ...]], None]
 _OVERSAMPLING = 8
-_CHAINS = 8
 _SLICE, _VISIT = 4096, 256  # moves until the OTF is summed anew, and in one frame until the next one has its turn
 _ELITES = 16
 
@@ -134,8 +134,7 @@ def anneal_frames(
         if progress is not None:
             progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece[1], _as_codes(piece[0]))
 
-    polished, cut = budget.polished(polish_jointly(problem, ranked), told, stopped=stopped)
-    best = ranked[0] if polished is None else polished[0]
+    (best, _), cut = budget.polished((ranked[0], 0.0), polish_jointly(problem, ranked), told, stopped=stopped)
     codes = _as_codes(best)
     cost = float(joint_cost(Objective(problem, oversampling=64, dtype=np.float64), best[None])[0])
     return FramesResult(codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.done, interrupted or cut)
@@ -202,13 +201,13 @@ def _round(
 ) -> None:
     """Cool chains side by side, from the best and from anywhere, and offer what they found, whatever ends them."""
     best = elites.ranked(joint.frames)
-    kept = min(len(best), _CHAINS // 2 if round_number else _CHAINS)
-    drawn = joint.problem.random_codes(_CHAINS * joint.frames, rng=rng).astype(np.int8)
-    codes = [*best[:kept], *drawn.reshape(_CHAINS, joint.frames, -1)[kept:]]
+    kept = min(len(best), CHAINS // 2 if round_number else CHAINS)
+    drawn = joint.problem.random_codes(CHAINS * joint.frames, rng=rng).astype(np.int8)
+    codes = [*best[:kept], *drawn.reshape(CHAINS, joint.frames, -1)[kept:]]
     runs = [joint.chain(one, int(rng.integers(1, 2**62))) for one in codes]
     # a move in one frame changes a sum of so many less, and colder still found better codes
     hot = hottest_db(joint.problem) / joint.frames**2
-    heats = [hot * (REHEATED if round_number and index < kept else 1.0) for index in range(_CHAINS)]
+    heats = [hot * (REHEATED if round_number and index < kept else 1.0) for index in range(CHAINS)]
     moves = budget.chain(round_number)
     try:
         for first in range(0, moves, _SLICE):
@@ -219,7 +218,7 @@ def _round(
                 jobs.append(pool.submit(joint.advance, tables, chain, ends, count))
             for job in jobs:
                 job.result()
-            budget.done += count * _CHAINS
+            budget.done += count * CHAINS
             if progress is not None:
                 progress(MOVES_SHARE * budget.used(), _as_codes(best[0]))
             if budget.elapsed() >= budget.time_s:
