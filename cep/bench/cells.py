@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 
 from cep.bench.machine import machine
 
-__all__ = ["Cell", "Figure", "Finished", "Result", "fingerprints", "worked"]
+__all__ = ["Cell", "Figure", "Finished", "Result", "fingerprints", "pinned", "worked"]
 
 Figure = float | int | str | None
 """What a benchmark measures; None where it could not."""
@@ -113,6 +114,38 @@ class Result:
     cached: bool
 
 
+@dataclass(frozen=True)
+class _Pinned:
+    """A file and what was in it when the benchmark began."""
+
+    path: Path
+    digest: str
+
+    def checked(self) -> Path:
+        status = self.path.stat()
+        if _digest_of(self.path, (status.st_mtime_ns, status.st_size)) != self.digest:
+            raise ValueError(f"{self.path}: another file than the one that the benchmark began with")
+        return self.path
+
+
+def pinned(cells: Iterable[Cell]) -> list[dict[str, Any]]:
+    """Arguments of cells whose files tell what is in them: elsewhere, or later, there may be another of that name.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be read.
+    """
+    known: dict[Path, str] = {}
+    return [
+        {
+            key: _Pinned(item, _digest(item, known)) if isinstance(item, Path) else item
+            for key, item in cell.arguments.items()
+        }
+        for cell in cells
+    ]
+
+
 def worked(work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, Any]) -> Finished:
     """Run a cell's function here; what it raises becomes the reason of a failure.
 
@@ -120,6 +153,7 @@ def worked(work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, An
     ----------
     work : function
     arguments : mapping
+        A cell's, or of :func:`pinned`.
 
     Returns
     -------
@@ -127,7 +161,8 @@ def worked(work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, An
     """
     began_s = time.perf_counter()
     try:
-        figures, failure = _flat(work(**arguments)), ""
+        given = {key: item.checked() if isinstance(item, _Pinned) else item for key, item in arguments.items()}
+        figures, failure = _flat(work(**given)), ""
     except Exception as error:
         named = isinstance(error, ValueError | RuntimeError) and bool(str(error))
         text = str(error) if named else f"{type(error).__name__}: {error}".removesuffix(": ")
@@ -160,18 +195,31 @@ def fingerprints(cells: Iterable[Cell]) -> list[str]:
     OSError
         If a file among the arguments cannot be read.
     """
-    known: dict[Path, str] = {}  # a photo shared by all cells is read once
+    known: dict[Path, str] = {}
     return [_fingerprint(cell, known) for cell in cells]
+
+
+def _digest(path: Path, known: dict[Path, str]) -> str:
+    if path not in known:  # a photo shared by all cells is read once
+        known[path] = _read_digest(path)
+    return known[path]
+
+
+@lru_cache(maxsize=4096)  # a worker is asked once per cell
+def _digest_of(path: Path, _state: tuple[int, int]) -> str:
+    return _read_digest(path)
+
+
+def _read_digest(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _fingerprint(cell: Cell, known: dict[Path, str]) -> str:
     parts: dict[str, Any] = {}
     for key, value in cell.arguments.items():
         if isinstance(value, Path):
-            if value not in known:
-                with value.open("rb") as stream:
-                    known[value] = hashlib.file_digest(stream, "sha256").hexdigest()
-            parts[key] = ("file", known[value])
+            parts[key] = ("file", _digest(value, known))
         else:
             parts[key] = ("value", value)
     digest = hashlib.sha256()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cep.bench.cache import Cache
-from cep.bench.cells import Cell, Figure, Finished, Result, fingerprints, worked
+from cep.bench.cells import Cell, Figure, Finished, Result, fingerprints, pinned, worked
 from cep.bench.spread import Tasks, in_processes, on_cluster
 
 __all__ = ["Outcome", "run_cells"]
@@ -110,7 +110,8 @@ def _run(
     by_key = dict(zip(keys, cells, strict=True))
     found = {key: finished for key in by_key if (finished := store.find(key)) is not None}
     cached = frozenset(found)
-    waiting = {key: (cell.work, cell.arguments) for key, cell in by_key.items() if key not in found}
+    left = {key: cell for key, cell in by_key.items() if key not in found}
+    waiting = {key: (cell.work, given) for (key, cell), given in zip(left.items(), pinned(left.values()), strict=True)}
     began_s = time.monotonic()
     try:
         progress(len(found) / max(len(by_key), 1), f"{len(found)} of {len(by_key)} cells")

@@ -2,6 +2,7 @@
 
 import enum
 import math
+import pickle
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cep.bench.cells import Cell, fingerprints, worked
+from cep.bench.cells import Cell, fingerprints, pinned, worked
 from cep.camera import Camera
 from cep.code import ShutterCode
 from motdiff.trajectory import Trajectory
@@ -124,6 +125,19 @@ def test_a_file_counts_by_what_is_in_it(tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError) as caught:
         fingerprints([replace(one, arguments={"file": tmp_path / "no.png"})])
     assert str(caught.value.filename) == str(tmp_path / "no.png")
+
+
+def test_another_file_of_that_name_is_not_worked_on(tmp_path):
+    path = tmp_path / "a.png"
+    path.write_bytes(b"12")
+    cell = Cell(("a",), bench_work.size_of, {"file": path})
+    (given,) = pinned([cell])
+    assert worked(cell.work, given).figures == {"bytes": 2}
+    path.write_bytes(b"123")
+    done = worked(cell.work, pickle.loads(pickle.dumps(given)))
+    assert (done.figures, done.failure) == ({}, f"{path}: another file than the one that the benchmark began with")
+    path.unlink()
+    assert "FileNotFoundError" in worked(cell.work, given).failure
 
 
 @pytest.mark.parametrize(

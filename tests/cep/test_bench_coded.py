@@ -14,13 +14,15 @@ from skimage import data
 
 from cep.baselines.published import published
 from cep.bench.coded import designs, motions, protocol
+from cep.bench.coded.calibrated import estimate_motion
 from cep.bench.coded.designs import DESIGNS, Known, designed
 from cep.bench.coded.motions import drawn_motions
+from cep.bench.coded.paths import PSF_PX, paths_from, paths_to
 from cep.bench.coded.protocol import CodedProtocol, coded_protocol
 from cep.bench.coded.report import OUTPUTS, write_coded_report
 from cep.bench.coded.run import CodedTable, Shot, measure_coded
-from cep.bench.coded.stages import PSF_PX, estimate_motion, paths_from, paths_to, photographed, take_photo
 from cep.bench.coded.tables import coded_tables, harmed, shots_csv
+from cep.bench.coded.taken import photographed, take_photo
 from cep.bench.coded.told import ESTIMATORS
 from cep.bench.coded.versions import code_version, motion_version, photo_version
 from cep.camera import Camera

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cep.bench.coded.paths import PSF_PX
 from cep.bench.coded.protocol import CodedProtocol
-from cep.bench.coded.stages import PSF_PX
 from motdiff.motions import boracchi_foi, quadratic, random_straight
 from motdiff.trajectory import Trajectory
 

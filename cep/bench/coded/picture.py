@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.coded.designs import DESIGNS
-from cep.bench.coded.stages import PSF_PX, paths_from
+from cep.bench.coded.paths import PSF_PX, paths_from
 from cep.bench.coded.work import pictures_of
 from cep.code import ShutterCode
 from cep.plots.canvas import new_figure, show_inset, show_photo

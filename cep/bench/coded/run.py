@@ -10,10 +10,11 @@ from typing import Any, Literal
 import numpy as np
 
 from cep.bench.cells import Cell, Figure
+from cep.bench.coded.chosen import choose_code
 from cep.bench.coded.designs import DESIGNS
 from cep.bench.coded.motions import drawn_motions
+from cep.bench.coded.paths import PSF_PX, paths_to
 from cep.bench.coded.protocol import CodedProtocol
-from cep.bench.coded.stages import PSF_PX, choose_code, paths_to
 from cep.bench.coded.told import ESTIMATORS, Estimates, assumed_path, kinds_needed, told
 from cep.bench.coded.versions import code_version, motion_version, photo_version
 from cep.bench.coded.work import motion_of, photo_of
@@ -37,7 +38,7 @@ class Shot:
     motion : int
     photons : float or None
     figures : mapping
-        Of :func:`cep.bench.coded.stages.take_photo`.
+        Of :func:`cep.bench.coded.taken.take_photo`.
     bits : str
     arguments : mapping
         That :func:`cep.bench.coded.work.photo_of` was called with.
@@ -62,7 +63,7 @@ class CodedTable:
     shots : tuple of Shot
         In order of design, light, photo and motion; without the failed ones.
     estimates : mapping from (kind, photo, motion) to figures
-        Of :func:`cep.bench.coded.stages.estimate_motion`.
+        Of :func:`cep.bench.coded.calibrated.estimate_motion`.
     failures : mapping from a cell's label to its reason
     missing : int
         Cells not reached, after Ctrl-C.

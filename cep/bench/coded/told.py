@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from cep.bench.cells import Figure
 from cep.bench.coded.designs import DESIGNS, Known
+from cep.bench.coded.paths import paths_from, paths_to
 from cep.bench.coded.protocol import CodedProtocol
-from cep.bench.coded.stages import paths_from, paths_to
 from motdiff.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
 

@@ -11,9 +11,12 @@ from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS
 __all__ = ["code_version", "motion_version", "photo_version"]
 
 _DENOISER = Path(__file__).parents[2] / "restore" / "denoiser" / "denoiser.safetensors"
-_STAGES = "cep.bench.coded.stages"
-_TAKING = (_STAGES, "cep.bench.coded.work", "cep.bench.scenes", "cep.bench.photos", "cep.images", "motdiff.crops")
-"""From the file on."""
+_HERE = "cep.bench.coded"
+_PATHS = f"{_HERE}.paths"
+_EXPOSED = (
+    _PATHS, f"{_HERE}.exposed", f"{_HERE}.work", "cep.bench.scenes", "cep.bench.photos", "cep.images", "motdiff.crops",
+)  # fmt: skip
+"""From the file to the photo."""
 _ESTIMATED: dict[str, tuple[str, Path]] = {
     "motdiff-quick": ("motdiff.estimators.motdiff", DEFAULT_WEIGHTS),
     "parametric": ("motdiff.estimators.parametric", PATH_WEIGHTS),
@@ -36,16 +39,18 @@ def motion_version(method: str) -> str:
     """Fingerprint of what estimates a motion: an estimator of :data:`cep.bench.coded.told.ESTIMATORS`."""
     module, weights = _ESTIMATED[method]
     used = [module, "motdiff.metrics", "motdiff.simulate", "cep.camera"]
-    return source_version(used, alone=[*_TAKING, "motdiff.evaluation.methods"], files=[weights])
+    return source_version(used, alone=[*_EXPOSED, f"{_HERE}.calibrated", "motdiff.evaluation.methods"], files=[weights])
 
 
 def code_version(design: str) -> str:
     """Fingerprint of what chooses a code: a design of :data:`cep.bench.coded.designs.DESIGNS`."""
     files = [SHIPPED] if design == "dce" else []
-    return source_version(_CHOSEN.get(design, _SEARCHED), alone=["cep.bench.coded.designs", _STAGES], files=files)
+    return source_version(
+        _CHOSEN.get(design, _SEARCHED), alone=[_PATHS, f"{_HERE}.designs", f"{_HERE}.chosen"], files=files
+    )
 
 
 def photo_version() -> str:
     """Fingerprint of what takes, restores and compares a photo."""
     used = ["cep.restore", "cep.mtf", "motdiff.metrics", "motdiff.simulate"]
-    return source_version(used, alone=_TAKING, files=[_DENOISER])
+    return source_version(used, alone=[*_EXPOSED, f"{_HERE}.taken"], files=[_DENOISER])

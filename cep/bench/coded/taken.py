@@ -1,11 +1,9 @@
-"""The stages of the coded-exposure table, pure functions: estimate the motion, choose a code, take the photo."""
+"""Third stage of the coded-exposure table, pure functions: the coded photo taken, restored and compared."""
 
 from __future__ import annotations
 
-import json
 import math
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,91 +11,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from cep.bench.coded.designs import Known, designed
+from cep.bench.coded.exposed import exposed
+from cep.bench.coded.paths import PSF_PX, paths_from
 from cep.camera import Camera, visible
 from cep.code import ShutterCode
 from cep.exposure import coded_psf
 from cep.mtf import CodeMetrics, measure
 from cep.restore import restore
 from cep.restore.direction import test_directions
-from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift
-from motdiff.simulate import blur_symmetric, blur_valid
+from motdiff.metrics import psnr_ssim_up_to_shift
 from motdiff.trajectory import Trajectory
 
-__all__ = ["PSF_PX", "Taken", "choose_code", "estimate_motion", "paths_from", "paths_to", "photographed", "take_photo"]
+__all__ = ["Taken", "photographed", "take_photo"]
 
 FloatArray = NDArray[np.float64]
-PSF_PX = 64
-"""Side of the frame that every true motion fits."""
 _ZERO = 1e-9
 _CROP_PX = 32  # left out of every comparison: restored borders lean on a guess
-
-
-def paths_to(paths: Sequence[Trajectory], weights: Sequence[float]) -> str:
-    """Write weighted paths as one line of text, for a table's cell."""
-    rows = [
-        {"t": path.t.tolist(), "xy": path.xy.tolist(), "direction": path.direction, "weight": float(weight)}
-        for path, weight in zip(paths, weights, strict=True)
-    ]
-    return json.dumps(rows)
-
-
-def paths_from(text: str) -> tuple[tuple[Trajectory, ...], tuple[float, ...]]:
-    """Read what :func:`paths_to` has written: paths and weights."""
-    rows = json.loads(text)
-    paths = tuple(Trajectory(np.array(row["t"]), np.array(row["xy"]), row["direction"]) for row in rows)
-    return paths, tuple(float(row["weight"]) for row in rows)
-
-
-def estimate_motion(
-    scene: ArrayLike, motion: str, *, method: str, borders: str, camera: Mapping[str, Any], seed: int
-) -> dict[str, float | str]:
-    """Take the calibration photo, shutter open, and estimate the motion from it.
-
-    Parameters
-    ----------
-    scene : (H, W) array_like, linear light 0..1
-    motion : str
-        True path, of :func:`paths_to`.
-    method : str
-        Name of an estimator of :mod:`motdiff.evaluation.methods`.
-    borders : {"real", "symmetric"}
-    camera : mapping
-        Of :meth:`cep.camera.Camera.to_dict`.
-    seed : int
-
-    Returns
-    -------
-    dict with ``paths``, ``mnc`` (sub-pixel, of the path's own PSF), ``cpu_s``
-    """
-    from motdiff.evaluation.methods import named_estimators
-
-    truth = paths_from(motion)[0][0]
-    rng = np.random.default_rng([seed, 1])
-    photo = _exposed(scene, truth.psf(PSF_PX), borders=borders, camera=Camera.from_dict(camera), rng=rng)
-    estimator = named_estimators([method])[method]
-    started = time.process_time()
-    estimate = estimator.estimate(np.clip(photo, 0, 1))
-    seconds = time.process_time() - started
-    found = estimate.trajectories[0]
-    return {
-        "paths": paths_to(estimate.trajectories, estimate.weights),
-        "mnc": mnc_subpixel(found.psf(max(PSF_PX, found.frame_size())), truth.psf(PSF_PX)),
-        "cpu_s": seconds,
-    }
-
-
-def choose_code(
-    known: Known, *, design: str, chips: int, open_range: tuple[int, int], objective: str, camera: Mapping[str, Any],
-    steps: int, seed: int,
-) -> dict[str, float | str]:  # fmt: skip
-    """Choose a code as a design does; returns ``bits`` and ``cpu_s``. See :mod:`cep.bench.coded.designs`."""
-    started = time.process_time()
-    code = designed(
-        design, known, chips=chips, open_range=open_range, objective=objective, camera=Camera.from_dict(camera),
-        steps=steps, rng=np.random.default_rng([seed, 2]),
-    )  # fmt: skip
-    return {"bits": code.bits, "duty": code.duty, "cpu_s": time.process_time() - started}
 
 
 def take_photo(
@@ -173,7 +102,7 @@ def photographed(
     shown = np.asarray(scene, dtype=np.float64)
     rng = np.random.default_rng([seed, 3])
     sensor = Camera.from_dict(camera)
-    photo = _exposed(shown, scale * psf, borders=borders, camera=sensor, rng=rng)
+    photo = exposed(shown, scale * psf, borders=borders, camera=sensor, rng=rng)
     found = psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
     # Where a scene lies no photo can tell: run backwards, a short exposure at the end of a straight path is one at its
     # start, the same PSF elsewhere. Restored with it, the scene is as good and merely displaced.
@@ -203,11 +132,3 @@ def _assumed_psf(photo: FloatArray, path: Trajectory, code: ShutterCode) -> Floa
     if path.direction == "known" or code.bits == code.bits[::-1]:
         return coded_psf(path, code, max(PSF_PX, path.frame_size()))
     return test_directions(photo, path, code, size=PSF_PX).psf
-
-
-def _exposed(
-    scene: ArrayLike, psf: FloatArray, *, borders: str, camera: Camera, rng: np.random.Generator
-) -> FloatArray:
-    blur = blur_symmetric if borders == "symmetric" else blur_valid
-    light = np.maximum(blur(scene, psf), 0.0)
-    return camera.expose(light, rng=rng)
