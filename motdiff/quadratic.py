@@ -189,12 +189,13 @@ def _climbed(
         gradient = pull_itself / with_itself - pull / with_target  # of -log of the cosine
         return float(0.5 * np.log(with_itself) - np.log(with_target)), (shapes @ gradient).ravel()
 
-    found = optimize.minimize(loss, start, jac=True, method="TNC")
+    found = optimize.minimize(loss, start, jac=True, method="L-BFGS-B")
     return np.asarray(found.x, dtype=np.float64), float(found.fun)
 
 
 def _overlap(points: FloatArray, others: FloatArray, weight: FloatArray, width: float) -> tuple[float, FloatArray]:
     """Weighted mean over pairs of exp(-distance^2 / width), with its gradient (N, 2) in the first points."""
-    apart = points[:, None] - others[None]
-    near = np.exp(-np.square(apart).sum(axis=-1) / width) * (weight / len(points))
-    return float(near.sum()) + 1e-300, -2 / width * np.einsum("ij,ijk->ik", near, apart)
+    distance2 = np.square(points).sum(axis=1)[:, None] + np.square(others).sum(axis=1) - 2 * points @ others.T
+    near = np.exp(distance2 / -width) * (weight / len(points))
+    pulled = near.sum(axis=1, keepdims=True) * points - near @ others
+    return float(near.sum()) + 1e-300, -2 / width * pulled
