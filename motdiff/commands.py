@@ -190,8 +190,8 @@ def _sample(given: argparse.Namespace) -> None:
     import cv2
     import torch
 
+    from motdiff.estimators.judge import noise_sigma
     from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
-    from motdiff.estimators.pmp.score import noise_sigma
     from motdiff.evaluation.pictures import drawn_sheet
     from motdiff.files import write_bytes_atomically
     from motdiff.simulate import to_linear

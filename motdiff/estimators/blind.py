@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from motdiff.crops import blur_differs_warning, luminance, pick_crops
+from motdiff.crops import luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.uneven import uneven_blur_warning
 from motdiff.metrics import mnc_subpixel
 from motdiff.tracing import simplest_trajectory
 from motdiff.trajectory import Trajectory
@@ -125,7 +126,8 @@ def estimate_blind(photo: ArrayLike, search: KernelSearch, *, method: str, most_
         level = coarser
     uneven = None
     if len(level.crops) > 1:
-        uneven = blur_differs_warning(search.single(level.crops, level.found))
+        found = level.found
+        uneven = uneven_blur_warning(level.crops, search.single(level.crops, found), found.kernels[found.best])
     return _described(level, method, uneven)
 
 

@@ -35,8 +35,8 @@ def looked_at(photo: ArrayLike) -> Tensor:
     import torch
 
     from motdiff.conditions import physics_maps
+    from motdiff.estimators.judge import noise_sigma
     from motdiff.estimators.motdiff.drawing import searched_quickly
-    from motdiff.estimators.pmp.score import noise_sigma
 
     grey = luminance(photo)
     if min(grey.shape) < _LEAST_PX:

@@ -57,8 +57,8 @@ class NetworkAlone:
         import torch
 
         from motdiff.crops import luminance
+        from motdiff.estimators.judge import noise_sigma
         from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
-        from motdiff.estimators.pmp.score import noise_sigma
         from motdiff.tracing import simplest_trajectory
 
         grey = luminance(photo)

@@ -198,14 +198,25 @@ def test_halved_photos_are_means_of_pixels():
 # ---- what is told
 
 
-def test_warnings_come_in_the_order_of_what_was_done():
-    kernels = [line(), line(angle_rad=1.5)]
+def test_warnings_come_in_the_order_of_what_was_done(monkeypatch):
+    kernels, asked = [line(), line(angle_rad=1.5)], []
+
+    def judged(crops, own, shared):
+        asked.append((crops, own, shared))
+        return "uneven"
+
+    monkeypatch.setattr("motdiff.estimators.blind.uneven_blur_warning", judged)
     search = FakeSearch((LONG, 0.1), (line(), 0.6), singles=kernels, warnings=("the search says this",))
     estimate, _ = found_in(noise(700, 900), search)
     said, uneven, halved = estimate.warnings
     assert said == "the search says this"
-    assert uneven.startswith("The blur differs across the photo")
+    assert uneven == "uneven"
     assert "1/2 of its size" in halved
+    # the crops of the size that counts, and once
+    ((crops, own, shared),) = asked
+    np.testing.assert_array_equal(crops, search.seen[-1])
+    assert own is kernels
+    np.testing.assert_array_equal(shared, line())
 
 
 def test_a_lost_estimate_is_said_to_be_lost():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import special
 
+from motdiff.estimators.judge import Judge, kernel_features, noise_sigma, phase_evidence, spectral_fit
 from motdiff.estimators.motdiff.judgement import FEATURES, features, probabilities
-from motdiff.estimators.pmp.score import Judge, kernel_features, noise_sigma, phase_evidence, spectral_fit
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory

@@ -8,12 +8,12 @@ import torch
 
 from motdiff.conditions import QUICK_STARTS, autocorrelation, spectral_maps
 from motdiff.estimators.blind import Found
+from motdiff.estimators.judge import noise_sigma
 from motdiff.estimators.motdiff import MotDiffEstimator, drawing
 from motdiff.estimators.motdiff import estimator as module
 from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, Start
-from motdiff.estimators.pmp.score import noise_sigma
 from motdiff.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.grids import mirrored
 from motdiff.metrics import mnc_matrix, mnc_subpixel

@@ -5,8 +5,8 @@ import pytest
 import torch
 from scipy import ndimage, optimize, signal
 
+from motdiff.estimators.judge import noise_sigma, phase_evidence, spectral_fit
 from motdiff.estimators.pmp import grids, kernel, latent
-from motdiff.estimators.pmp.score import noise_sigma, phase_evidence, spectral_fit
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 

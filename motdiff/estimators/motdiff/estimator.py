@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from motdiff.conditions import GRID_PX, QUICK_STARTS, quick_kernels
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.blind import Found, estimate_blind
+from motdiff.estimators.judge import Judge, noise_sigma
 from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
 from motdiff.estimators.motdiff.judgement import features, probabilities
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, refined
-from motdiff.estimators.pmp.score import Judge, noise_sigma
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.parallel import side_by_side
 from motdiff.weights import load_network
@@ -37,7 +37,7 @@ class MotDiffEstimator:
     """Blind estimator with the conditional diffusion model MoTDiff.
 
     Classical searches give kernels; the network, told of three of them, draws several motions; the photo judges all
-    (see :mod:`motdiff.estimators.pmp.score`), and the most likely ones are refined on it at full resolution. So a
+    (see :mod:`motdiff.estimators.judge`), and the most likely ones are refined on it at full resolution. So a
     classical kernel is the result wherever the photo believes it more.
 
     Parameters

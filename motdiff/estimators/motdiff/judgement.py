@@ -22,7 +22,7 @@ def features(evidence: FloatArray, alike: FloatArray, *, samples: int, classical
     Parameters
     ----------
     evidence : (N, 3) float
-        From :meth:`motdiff.estimators.pmp.score.Judge.evidence`.
+        From :meth:`motdiff.estimators.judge.Judge.evidence`.
     alike : (N, N) float
         MNC of every pair, see :func:`motdiff.metrics.mnc_matrix`.
     samples, classical : int

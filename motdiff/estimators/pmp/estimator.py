@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.blind import Found, estimate_blind
+from motdiff.estimators.judge import noise_sigma, rank_kernels
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
-from motdiff.estimators.pmp.score import noise_sigma, rank_kernels
 from motdiff.parallel import side_by_side
 
 __all__ = ["STARTS", "PmpEstimator", "Start", "refined"]
@@ -58,7 +58,7 @@ STARTS = (
 class PmpEstimator:
     """Blind estimator with the patch-wise minimal pixels prior.
 
-    Every start runs on the same crops, which share one kernel; the ranking of :mod:`motdiff.estimators.pmp.score`
+    Every start runs on the same crops, which share one kernel; the ranking of :mod:`motdiff.estimators.judge`
     chooses. ``confidence`` is the probability that the chosen kernel has a sub-pixel MNC of 0.7 or more, fitted on
     simulated photos.
 
