@@ -13,7 +13,7 @@ from pathlib import Path
 __all__ = ["claim", "claim_folder", "new_file", "new_folder", "write_text"]
 
 
-def claim(paths: Iterable[Path | str], *, force: bool = False) -> None:
+def claim(paths: Iterable[Path | str], *, force: bool = False, inputs: Iterable[Path | str] = ()) -> None:
     """Check, before any work is done, that outputs may be written.
 
     Parameters
@@ -21,14 +21,18 @@ def claim(paths: Iterable[Path | str], *, force: bool = False) -> None:
     paths : files about to be written
     force : bool
         Whether existing files may be replaced.
+    inputs : files that are read, which are not replaced in any case; what is no file counts for nothing
 
     Raises
     ------
     ValueError
-        If a file exists and ``force`` is not given, something other than a regular file is in its place, or its folder
-        is missing or cannot be written to.
+        If a file exists and ``force`` is not given, it is one of the inputs, something other than a regular file is in
+        its place, or its folder is missing or cannot be written to.
     """
+    read = [path for path in map(Path, inputs) if path.is_file()]
     for path in map(Path, paths):
+        if path.exists() and any(path.samefile(one) for one in read):
+            raise ValueError(f"{path}: is what is read, the output needs another name")
         if path.is_dir():
             raise ValueError(f"{path}: is a folder, a file name is needed")
         if path.exists() and not path.is_file():

@@ -78,7 +78,7 @@ def read_motion(path: Path | str) -> StoredMotion:
     """
     try:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: not a JSON file ({error})") from None
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         found = document.get("schema") if isinstance(document, dict) else type(document).__name__
@@ -93,7 +93,7 @@ def read_motion(path: Path | str) -> StoredMotion:
             raise ValueError("alternatives must be a list and source an object")
         alternatives = tuple((_weight(other), _trajectory(other, direction)) for other in others)
         return StoredMotion(main, _weight(document), alternatives, source)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         reason = f"field {error} is missing" if isinstance(error, KeyError) else str(error)
         raise ValueError(f"{path}: {reason}") from None
 

@@ -78,7 +78,7 @@ def deblur(
             )
         options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
     target = output or image.with_name(f"{image.stem}_sharp.png")
-    claim([target], force=force)
+    claim([target], force=force, inputs=[image])
     shutter = ShutterCode("1") if code is None else load_code(code).code
     motion = None if trajectory is None else load_motion(trajectory, None).trajectory
     if motion is not None:

@@ -29,7 +29,8 @@ def export(
         str, typer.Option("--format", "-f", help="csv json vcd c arduino rp2 pulsepal scpi camera dmd")
     ],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="File to write; CODE.SUFFIX when omitted.")
+        Path | None,
+        typer.Option("-o", "--output", help="File to write; CODE.SUFFIX when omitted (json: CODE.program.json)."),
     ] = None,
     chip_ns: ChipNs = None,
     device: Device = None,
@@ -52,8 +53,9 @@ def export(
 
     chosen = exporter(file_format)
     program, profile = load_program(code, chip_ns=chip_ns, device=device)
-    target = output or Path(f"{Path(code).stem if code.endswith('.json') else 'code'}{chosen.suffix}")
-    claim([target], force=force)
+    stem, suffix = Path(code).stem if code.endswith(".json") else "code", chosen.suffix
+    target = output or Path(f"{stem}{'.program' if suffix == '.json' else ''}{suffix}")  # a code is JSON too
+    claim([target], force=force, inputs=[code])
     text = chosen.export(program, profile or DeviceProfile(name="generic"))
     if chosen.parse_back(text) != program:
         raise RuntimeError(f"{target}: reading the {file_format} text back gave other edges, nothing was written")

@@ -185,7 +185,7 @@ def optimize(
             time_s=time_s, seed=seed, output=file, force=force, as_json=as_json,
         )  # fmt: skip
         return
-    claim([file], force=force)
+    claim([file], force=force, inputs=[] if trajectory is None else [trajectory])
     label = f"counting {codes_to_count(wanted.searched):.2g} codes" if method == "exact" else "searching"
     with progress(label) as tick:
         found = search(wanted.searched, how, progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"))

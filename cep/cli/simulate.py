@@ -64,7 +64,7 @@ def simulate(
     noise = load_camera(camera, photons=photons, read_noise=read_noise)
     target = output or sharp.with_name(f"{sharp.stem}_{'open' if code is None else 'coded'}.png")
     stem = f"{target.stem}_psf"
-    claim([target, *(target.with_name(stem + suffix) for suffix in PSF_SUFFIXES)], force=force)
+    claim([target, *(target.with_name(stem + suffix) for suffix in PSF_SUFFIXES)], force=force, inputs=[sharp])
     photo = read_photo(sharp, gamma=gamma)
     with progress("exposing"):
         # the smallest odd frame: a larger one would only cut more off the photo

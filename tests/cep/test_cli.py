@@ -449,6 +449,13 @@ def test_export_reads_back(cep, workplace, name):
     assert [list(edge) for edge in program.edges] == found["edges"]
 
 
+def test_export_never_replaces_its_code(cep, workplace):
+    before = Path("code.json").read_bytes()
+    assert cep.succeeds("export", "code.json", "--format", "json")["file"] == "code.program.json"
+    assert "is what is read" in cep.refuses("export", "code.json", "--format", "json", "-o", "code.json", "--force")
+    assert Path("code.json").read_bytes() == before
+
+
 def test_human_pages(cep, workplace):
     """Without --json every command prints something for people, and nothing on stderr."""
     for arguments in (

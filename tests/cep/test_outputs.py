@@ -21,6 +21,17 @@ def test_existing_files_are_refused_unless_forced(tmp_path):
     assert taken.read_text() == "precious"
 
 
+def test_what_is_read_is_never_replaced(tmp_path):
+    source, link = tmp_path / "code.json", tmp_path / "link.json"
+    source.write_text("{}")
+    link.symlink_to(source)
+    for target in (source, link, tmp_path / "." / "code.json"):
+        with pytest.raises(ValueError, match="is what is read, the output needs another name"):
+            claim([target], force=True, inputs=[source])
+    # a published code's name or bits are no file
+    claim([source], force=True, inputs=["raskar-52", "1011", tmp_path / "other.json"])
+
+
 def test_impossible_places_are_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="cannot be written to"):

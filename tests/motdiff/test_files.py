@@ -1,6 +1,7 @@
 """Trajectory files: exact round trips, and one clear line for every bad one."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,17 @@ def test_files_that_are_no_such_json(tmp_path: Path, content: bytes) -> None:
     with pytest.raises(ValueError, match=r"t\.json") as caught:
         read_motion(path)
     assert "\n" not in str(caught.value)
+
+
+def test_numbers_and_depths_beyond_python(tmp_path: Path) -> None:
+    path = tmp_path / "t.json"
+    huge = "1" + 400 * "0"
+    path.write_text(f'{{"schema": "{SCHEMA}", "t": [0, 1], "x": [0, {huge}], "y": [0, 0]}}')
+    with pytest.raises(ValueError, match=re.escape(str(path))):
+        read_motion(path)
+    path.write_text("[" * 200_000)
+    with pytest.raises(ValueError, match="not a JSON file"):
+        read_motion(path)
 
 
 def test_missing_file(tmp_path: Path) -> None:
