@@ -22,7 +22,6 @@ from motdiff.trajectory import Trajectory
 __all__ = [
     "FINEST_CHIP_PX",
     "LARGEST_FRAME_PX",
-    "LONGEST_STRAIGHT_PX",
     "check_frame",
     "check_resolved",
     "expected_psnr_db",
@@ -38,26 +37,16 @@ LARGEST_FRAME_PX = 2048
 """Widest PSF frame, px, of a bent path that is measured: the work grows with its area."""
 
 
-LONGEST_STRAIGHT_PX = 4096
-"""Longest uniform straight motion, px, that is measured: it has a formula, whose frequencies grow with its length."""
-
-
 def check_frame(trajectory: Trajectory) -> None:
-    """Refuse a path too wide, or a uniform straight one too long, to be measured within minutes.
+    """Refuse a bent path too wide to be measured; a uniform straight one has a formula for any length.
 
     Raises
     ------
     ValueError
-        If the PSF would need a frame of more than :data:`LARGEST_FRAME_PX`, or if a uniform straight motion is longer
-        than :data:`LONGEST_STRAIGHT_PX`.
+        If the PSF would need a frame of more than :data:`LARGEST_FRAME_PX`.
     """
-    frame, straight_px = trajectory.frame_size(), uniform_length_px(trajectory)
-    if straight_px is not None:
-        if straight_px > LONGEST_STRAIGHT_PX:
-            raise ValueError(
-                f"trajectory: a straight motion of {straight_px:.0f} px, at most {LONGEST_STRAIGHT_PX} can be handled"
-            )
-    elif frame > LARGEST_FRAME_PX:
+    frame = trajectory.frame_size()
+    if frame > LARGEST_FRAME_PX and uniform_length_px(trajectory) is None:
         raise ValueError(
             f"trajectory: the path needs a PSF of {frame} px around its zero, at most {LARGEST_FRAME_PX} can be handled"
         )

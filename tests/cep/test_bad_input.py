@@ -399,7 +399,6 @@ def test_unknown_kinds_of_output(refused, arguments):
         ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--method", "magic"],
         ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--method", "tv", "--photons", "100"],
         ["simulate", "sharp.png", "--linear", "5000"],
-        ["mtf", "--linear", "5000", "--code", "1011"],
         ["export", "1011", "--format", "morse"],
         ["export", "1011", "--format", "csv", "--device", "nothing"],
         ["upload", "1011", "--port", "/dev/nothing-there"],
