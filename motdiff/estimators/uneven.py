@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from motdiff.crops import uniformity
 from motdiff.estimators.judge import Judge
+from motdiff.metrics import mnc_subpixel
 
 __all__ = ["uneven_blur_warning"]
 
@@ -34,7 +35,7 @@ def uneven_blur_warning(crops: FloatArray, own: Sequence[FloatArray], shared: Fl
     """
     kernels = [shared, *(_odd(kernel) for kernel in own)]
     scores = np.stack([Judge(crop[None]).evidence(kernels) @ _WEIGHTS for crop in crops])
-    alike = np.array([[uniformity([one, other]) for other in kernels] for one in kernels[1:]])
+    alike = np.array([[mnc_subpixel(one, other) for other in kernels] for one in kernels[1:]])
     # (crops, kernels): how much better a crop's own kernel explains it than another one does
     missing = np.where(alike < _SAME_MNC, np.diagonal(scores, offset=1)[:, None] - scores, 0.0)
     best = int(np.argmin((missing > _CLEARLY).sum(axis=0)))
