@@ -9,11 +9,21 @@ from numpy.typing import NDArray
 
 from motdiff.trajectory import Trajectory
 
-__all__ = ["BandSamples", "band", "band_samples", "circle_samples", "straight_axis", "uniform_length_px"]
+__all__ = [
+    "BandSamples",
+    "band",
+    "band_samples",
+    "circle_samples",
+    "stays_in_place",
+    "straight_axis",
+    "uniform_length_px",
+]
 
 FloatArray = NDArray[np.float64]
+_STILL_PX = 1e-9  # widest path that stays in place: its |H| is that of a point, but for rounding
 _STRAIGHT = 1e-9  # sideways px per px of extent below which a path counts as straight
 _NARROWEST = 1 / 256  # cycles/px: finest feature of a scene spectrum
+_MOST_INTERVALS, _LEAST_OVERSAMPLING = 2**18, 8  # beyond 8000 px memory counts: so many, while they still resolve H
 _ACROSS = 12  # Gauss-Legendre nodes along the lines on which a straight motion's OTF is constant
 
 
@@ -51,8 +61,9 @@ def band_samples(trajectory: Trajectory, *, oversampling: int = 64) -> BandSampl
     """Make a quadrature that resolves |H| along ``trajectory`` for any code.
 
     H is the Fourier transform of something no wider than the path, so 1 / extent is its natural step. A straight
-    motion takes ``oversampling`` samples per such step along its one axis. A curved one takes the trapezoid rule on 64
-    intervals a side, or on as many as its extent in px.
+    motion takes ``oversampling`` samples per such step along its one axis, or at least 8 where that makes more than
+    2^18, from 8000 px on. A curved one takes the trapezoid rule on 64 intervals a side, or on as many as its extent in
+    px.
     """
     axis = straight_axis(trajectory)
     if axis is not None:
@@ -72,11 +83,16 @@ def circle_samples(chips: int, *, oversampling: int = 64) -> BandSamples:
     return _along(np.array([1.0, 0.0]), float(chips), oversampling)
 
 
+def stays_in_place(trajectory: Trajectory) -> bool:
+    """Tell whether a path is a point for every purpose: no code can show along it."""
+    return trajectory.extent_px <= _STILL_PX
+
+
 def straight_axis(trajectory: Trajectory) -> FloatArray | None:
-    """Find the unit vector (2,) of a straight motion, whatever its speed, or None for a curved one."""
-    extent = trajectory.extent_px
-    if extent == 0:
+    """Find the unit vector (2,) of a straight motion, whatever its speed, or None for a curved one; (1, 0) for none."""
+    if stays_in_place(trajectory):
         return np.array([1.0, 0.0])
+    extent = trajectory.extent_px
     farthest = trajectory.xy[np.argmax(np.linalg.norm(trajectory.xy - trajectory.xy[0], axis=1))] - trajectory.xy[0]
     axis = farthest / np.linalg.norm(farthest)
     sideways = trajectory.xy @ np.array([-axis[1], axis[0]])
@@ -86,7 +102,7 @@ def straight_axis(trajectory: Trajectory) -> FloatArray | None:
 def uniform_length_px(trajectory: Trajectory) -> float | None:
     """Find the length of a straight motion of constant speed, px, or None for any other."""
     axis = straight_axis(trajectory)
-    if axis is None or trajectory.extent_px == 0:
+    if axis is None or stays_in_place(trajectory):
         return None
     along = trajectory.xy @ axis
     uniform = along[0] + (along[-1] - along[0]) * trajectory.t
@@ -95,7 +111,8 @@ def uniform_length_px(trajectory: Trajectory) -> float | None:
 
 def _along(axis: FloatArray, extent_px: float, oversampling: int) -> BandSamples:
     reach = 0.5 * float(np.abs(axis).sum())
-    intervals = int(np.ceil(oversampling * max(4.0, extent_px * reach)))
+    steps = max(4.0, extent_px * reach)
+    intervals = int(np.ceil(min(oversampling * steps, max(_MOST_INTERVALS, _LEAST_OVERSAMPLING * steps))))
     s = np.linspace(0, reach, intervals + 1)
     # the line f.axis = s leaves the square at low and high, measured across
     low, high = np.full(s.size, -np.inf), np.full(s.size, np.inf)

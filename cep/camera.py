@@ -152,7 +152,7 @@ class Camera:
         """
         suffix = _suffix(path)
         try:
-            text = Path(path).read_text(encoding="utf-8")
+            text = Path(path).read_text(encoding="utf-8-sig")  # Windows editors write a mark first
             document = json.loads(text) if suffix == ".json" else tomllib.loads(text)
         except (json.JSONDecodeError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ValueError(f"{path}: not a {suffix[1:].upper()} file ({error})") from None

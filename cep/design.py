@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.band import uniform_length_px
+from cep.band import stays_in_place, uniform_length_px
 from cep.camera import Camera
 from cep.code import ShutterCode
 from cep.mtf import CodeMetrics, measure, worst_of
@@ -58,8 +58,14 @@ def check_resolved(trajectory: Trajectory, chips: int) -> None:
     Raises
     ------
     ValueError
-        If a chip covers less than a quarter of a pixel on average; the line says how many chips would do.
+        If a chip covers less than a quarter of a pixel on average; the line says how many chips would do, or how long
+        a path where there is none.
     """
+    if chips > 1 and stays_in_place(trajectory):
+        raise ValueError(
+            f"trajectory: the path stays in place, a code of {chips} chips needs a motion of at least "
+            f"{chips * FINEST_CHIP_PX:g} px ({FINEST_CHIP_PX} px each)"
+        )
     most = max(1, int(trajectory.length_px / FINEST_CHIP_PX))
     if chips > most:
         raise ValueError(

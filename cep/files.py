@@ -107,7 +107,7 @@ def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:
         If the file cannot be read.
     """
     try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
+        document = json.loads(Path(path).read_text(encoding="utf-8-sig"))  # Windows editors write a mark first
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: not a JSON file ({error})") from None
     found = document.get("schema") if isinstance(document, dict) else type(document).__name__

@@ -21,6 +21,7 @@ __all__ = [
     "PHOTO_SUFFIXES",
     "PICTURE_SUFFIXES",
     "Photo",
+    "check_image_name",
     "parse_gamma",
     "read_image",
     "read_photo",
@@ -116,6 +117,13 @@ def read_photo(path: Path | str, *, gamma: str | float = "srgb", min_side_px: in
     return Photo(np.ascontiguousarray(table[decoded]), 8 * decoded.dtype.itemsize, warnings)
 
 
+def check_image_name(path: Path | str) -> None:
+    """Check, before any work is done, that :func:`write_image` writes such files; raises ValueError as it does."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in PICTURE_SUFFIXES:
+        raise ValueError(f"{path}: images are written as .png, .tif or .jpg, not {suffix or 'without a suffix'}")
+
+
 def write_image(path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str | float = "srgb") -> None:
     """Write linear light as PNG, TIFF or JPEG, whole or not at all; values outside 0..1 are clipped.
 
@@ -138,10 +146,8 @@ def write_image(path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str
     import cv2
 
     target = Path(path)
-    suffix = target.suffix.lower()
-    if suffix not in PICTURE_SUFFIXES:
-        raise ValueError(f"{target}: images are written as .png, .tif or .jpg, not {suffix or 'without a suffix'}")
-    exponent = _exponent(gamma)
+    check_image_name(target)
+    suffix, exponent = target.suffix.lower(), _exponent(gamma)
     if bits not in (8, 16, 32):
         raise ValueError(f"bits: must be 8, 16 or 32, got {bits}")
     pixels = np.asarray(image, dtype=np.float64)

@@ -163,6 +163,7 @@ def appraise(
     along: Trajectory | None,
     effort: Literal["quick", "sdp"] = "quick",
     seed: int = 0,
+    time_s: float = 60.0,
 ) -> Appraisal:
     """Compare a code with what would be used instead, certify its minimum, and hold it against a bound.
 
@@ -174,13 +175,13 @@ def appraise(
     along : Trajectory or None
         What the certificate is for; None: the unit circle, where only the code's polynomial matters.
     effort : {"quick", "sdp"}
-    seed : int
-        Of the random codes among the baselines.
+    seed, time_s : int, float
+        Of the random codes among the baselines, and limit of the search among them, seconds.
     """
     from cep.baselines.compare import compare
     from cep.certify.certificate import certify
 
-    ours, *others = compare(problem, code, rng=np.random.default_rng([seed, 1]))
+    ours, *others = compare(problem, code, rng=np.random.default_rng([seed, 1]), time_s=time_s)
     certificate = certify(code, along).to_dict()
     return Appraisal(
         ours, tuple(others), certificate, *_bounded(problem, ours.metrics, straight=along is None, effort=effort)
@@ -206,7 +207,8 @@ def report(found: Found, appraisal: Appraisal) -> dict[str, Any]:
         "steps": found.steps,
         "interrupted": found.interrupted,
         "baselines": {
-            row.name: {"bits": row.code.bits, "open": row.code.open_chips, **row.metrics.to_dict()}
+            row.name: {"bits": row.code.bits, "open": row.code.open_chips, "stopped_early": row.stopped_early}
+            | row.metrics.to_dict()
             for row in appraisal.others
         },
     }
@@ -241,7 +243,8 @@ def optimize_motion(
     found = search(searched, how, threads=1)
     if found.interrupted and (how.method == "exact" or found.seconds < how.time_s):
         raise KeyboardInterrupt
-    appraisal = appraise(problem, replace(found.code, chip_ns=chip_ns), along=along, effort=how.effort, seed=how.seed)
+    code = replace(found.code, chip_ns=chip_ns)
+    appraisal = appraise(problem, code, along=along, effort=how.effort, seed=how.seed, time_s=how.time_s)
     parts = {
         "report": report(found, appraisal),
         "metrics": appraisal.ours.metrics.to_dict(),

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 __all__ = ["run"]
 
@@ -25,7 +26,7 @@ examples:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code: 0 done, 2 input that can be mended, 1 a failure, 130 Ctrl-C."""
-    parser = argparse.ArgumentParser(
+    parser: argparse.ArgumentParser = _Parser(
         prog="python -m motdiff", epilog=_EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -44,7 +45,16 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+class _Parser(argparse.ArgumentParser):
+    """Tells of a wrong command line in one line, too."""
+
+    def error(self, message: str) -> NoReturn:
+        sys.exit(_told(f"{message} (see {self.prog} --help)", 2))
+
+
 def _told(error: object, code: int) -> int:
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        error = f"{error.filename}: {error.strerror}"
     line = (str(error) or type(error).__name__).splitlines()[0]
     print(f"error: {line}", file=sys.stderr)  # noqa: T201
     return code
@@ -168,7 +178,10 @@ def _add_export(commands: _Commands[argparse.ArgumentParser]) -> None:
 def _export(given: argparse.Namespace) -> None:
     from motdiff.weights import export_weights
 
-    card = None if given.card is None else json.loads(given.card.read_text(encoding="utf-8"))
+    try:
+        card = None if given.card is None else json.loads(given.card.read_text(encoding="utf-8-sig"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{given.card}: not a JSON file ({error})") from None
     if not isinstance(card, dict | None):
         raise ValueError(f"{given.card}: must hold a JSON object")
     size = export_weights(given.run / "checkpoint", given.out, offset=given.offset, card=card)
@@ -188,6 +201,7 @@ def _add_sample(commands: _Commands[argparse.ArgumentParser]) -> None:
 
 def _sample(given: argparse.Namespace) -> None:
     import cv2
+    import numpy as np
     import torch
 
     from motdiff.estimators.judge import noise_sigma
@@ -197,9 +211,11 @@ def _sample(given: argparse.Namespace) -> None:
     from motdiff.simulate import to_linear
     from motdiff.weights import DEFAULT_WEIGHTS, load_network
 
-    image = cv2.imread(str(given.photo)) if given.photo.is_file() else None
+    data = given.photo.read_bytes()
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
     if image is None:
-        raise ValueError(f"{given.photo}: no such photo, or it cannot be read")
+        wrong = "is no photo that can be read" if data else "is empty (0 bytes)"
+        raise ValueError(f"{given.photo}: {wrong}, a PNG, JPEG or TIFF is needed")
     if min(image.shape[:2]) < 256:
         raise ValueError(f"{given.photo}: must have at least 256 x 256 px, has {image.shape[1]} x {image.shape[0]}")
     if given.count < 1:
@@ -243,8 +259,6 @@ def _add_eval(commands: _Commands[argparse.ArgumentParser]) -> None:
 
 
 def _eval(given: argparse.Namespace) -> None:
-    import json
-
     from motdiff.evaluation.methods import named_estimators
     from motdiff.evaluation.report import report_document, report_text, write_report
     from motdiff.evaluation.run import evaluate, levin_set, simulated_sets

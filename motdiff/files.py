@@ -77,7 +77,7 @@ def read_motion(path: Path | str) -> StoredMotion:
         If the file cannot be read.
     """
     try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
+        document = json.loads(Path(path).read_text(encoding="utf-8-sig"))  # Windows editors write a mark first
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: not a JSON file ({error})") from None
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:

@@ -8,14 +8,16 @@ light is the same.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from cep.code import ShutterCode
-from cep.search.annealing.anneal import anneal
+from cep.search.annealing.anneal import SearchResult, anneal
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 
-__all__ = ["SHORTEST_PX", "dnf_code", "dnf_problem"]
+__all__ = ["SHORTEST_PX", "dnf_code", "dnf_problem", "dnf_search"]
 
 SHORTEST_PX = 1.0
 """Paths that are shorter, px, are designed for as if they had this length: less hardly blurs."""
@@ -24,14 +26,14 @@ SHORTEST_PX = 1.0
 def dnf_problem(
     length_px: float, chips: int, *, open_range: tuple[int, int] | None = None, **limits: object
 ) -> SearchProblem:
-    """Say what DNF searches for; see :func:`dnf_code`, whose parameters these are."""
+    """Say what DNF searches for; see :func:`dnf_search`, whose parameters these are."""
     if not (np.isfinite(length_px) and length_px >= 0):
         raise ValueError(f"length_px: must be 0 or more, got {length_px}")
     straight = Trajectory.straight(max(SHORTEST_PX, float(length_px)))
     return SearchProblem.along(straight, chips=chips, open_range=open_range, objective="noise", **limits)
 
 
-def dnf_code(
+def dnf_search(
     length_px: float,
     chips: int,
     *,
@@ -40,7 +42,7 @@ def dnf_code(
     time_s: float = 60.0,
     open_range: tuple[int, int] | None = None,
     **limits: object,
-) -> ShutterCode:
+) -> SearchResult:
     """Search the code as ours is searched, with the same budget, but knowing nothing of the motion but its length.
 
     Parameters
@@ -66,4 +68,9 @@ def dnf_code(
     Agrawal and Raskar, "Optimal single image capture for motion deblurring", CVPR 2009.
     """
     problem = dnf_problem(length_px, chips, open_range=open_range, **limits)
-    return anneal(problem, rng=rng, steps=steps, time_s=time_s).code
+    return anneal(problem, rng=rng, steps=steps, time_s=time_s)
+
+
+def dnf_code(length_px: float, chips: int, *, rng: np.random.Generator, **options: Any) -> ShutterCode:
+    """Search as :func:`dnf_search`, and return the code alone."""
+    return dnf_search(length_px, chips, rng=rng, **options).code

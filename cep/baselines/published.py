@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from types import MappingProxyType
 
@@ -110,15 +110,14 @@ def published(name: str) -> PublishedCode:
     ValueError
         If there is none; the line lists the names.
     """
-    try:
-        return _registry()[name]
-    except KeyError:
-        raise ValueError(f"name: no published code {name!r}; there are {', '.join(names())}") from None
+    if name not in _registry():
+        raise ValueError(f"name: no published code {name!r}; there are {', '.join(names())}")
+    return _rotated(name)
 
 
 def for_chips(chips: int) -> tuple[PublishedCode, ...]:
     """All codes of ``chips`` chips."""
-    return tuple(entry for entry in _registry().values() if entry.code.chips == chips)
+    return tuple(_rotated(name) for name, entry in _registry().items() if entry.code.chips == chips)
 
 
 def best_for(chips: int) -> PublishedCode | None:
@@ -157,23 +156,29 @@ def best_rotation(code: ShutterCode) -> ShutterCode:
 
 @cache
 def _registry() -> Mapping[str, PublishedCode]:
+    """All codes by name; periodic sequences as they are defined."""
     entries = [PublishedCode(name, ShutterCode(bits), source) for name, (source, bits) in _BITS.items()]
     for n, digits in _JEON_HEX.items():
         bits = f"{int(digits, 16):0{4 * len(digits)}b}"[-n:]
         entries.append(PublishedCode(f"jeon-{n}", ShutterCode(bits), _JEON))
-    for n in _TAPS:
-        entries.append(PublishedCode(f"m-sequence-{n}", best_rotation(m_sequence(n)), _SHIFT_REGISTER))
-    for prime in _PRIMES:
-        entries.append(PublishedCode(f"legendre-{prime}", best_rotation(legendre(prime)), _MURA))
+    entries += [PublishedCode(f"m-sequence-{n}", m_sequence(n), _SHIFT_REGISTER) for n in _TAPS]
+    entries += [PublishedCode(f"legendre-{prime}", legendre(prime), _MURA) for prime in _PRIMES]
     entries.sort(key=lambda entry: (entry.code.chips, entry.name))
     return MappingProxyType({entry.name: entry for entry in entries})
+
+
+@cache
+def _rotated(name: str) -> PublishedCode:
+    """Return the entry of a name, a periodic sequence by its best rotation: a second's work for all of them."""
+    entry = _registry()[name]
+    return replace(entry, code=best_rotation(entry.code)) if entry.source in (_SHIFT_REGISTER, _MURA) else entry
 
 
 class _LazyCodes(Mapping[str, ShutterCode]):
     """The registry as name -> code; rotations are searched on first use, not on import."""
 
     def __getitem__(self, name: str) -> ShutterCode:
-        return _registry()[name].code
+        return _rotated(name).code
 
     def __iter__(self) -> Iterator[str]:
         return iter(_registry())

@@ -123,12 +123,16 @@ def mtf_minimum(
     if axis is None:
         pieces = pieces_of_path(path)
         return _bounded(pieces, _PATH_GAP, budget, lambda at: kantorovich(pieces, at))
-    uniform = response is None and edges is None and uniform_length_px(trajectory) is not None
+    uniform_px = uniform_length_px(trajectory) if response is None and edges is None else None
+    if uniform_px is not None and 0.5 * np.abs(axis).sum() * uniform_px >= code.chips:
+        # in the band a chip so long has zeros of its own, those of a box: no grid, whose work is the length squared
+        zero = zeros_along(trajectory, code).found[0]
+        return Minimum(0.0, 0.0, zero.at, zero.method, zero)
     found = _bounded(
         pieces_along(path, axis),
         _PATH_GAP,
         budget,
-        lambda _: _first(zeros_along(trajectory, code).found) if uniform else None,
+        lambda _: _first(zeros_along(trajectory, code).found) if uniform_px is not None else None,
     )
     at = found.zero.at if found.zero else _in_band(found.at[0], axis)
     return Minimum(found.lower, found.upper, at, found.method, found.zero)

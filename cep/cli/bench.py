@@ -59,8 +59,8 @@ def everything(
         _refuse_options(context)
         return
     engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
-    claim_folder(output, [INDEX], force=force)
     jobs = _jobs(output, engine, data=data, gyro=gyro, quick=quick, force=force)
+    claim_folder(output, [INDEX], force=force)
     for job in jobs.values():
         claim_folder(job.folder, job.files, force=force)
     parts: dict[str, Part] = {}

@@ -61,22 +61,24 @@ def calibrate(
 
     Example: cep calibrate shots -o shots_motion --workers 4
     """
-    from cep.calibrate import CALIBRATION_FILES, check_texture, make_estimator, write_calibration
-    from cep.images import read_image, read_photo
+    from cep.calibrate import CALIBRATION_FILES, check_options, check_texture, make_estimator, write_calibration
+    from cep.images import parse_gamma, read_image, read_photo
     from cep.outputs import claim_folder
     from motdiff.gyro import read_gyro
 
+    options = {
+        "samples": samples, "quick": quick or None, "sharp": sharp, "gyro": gyro, "focal_px": focal,
+        "start_s": start, "exposure_s": exposure,
+    }  # fmt: skip
     if image.is_dir():
-        options = {
-            "samples": samples, "quick": quick or None, "sharp": sharp, "gyro": gyro, "focal_px": focal,
-            "start_s": start, "exposure_s": exposure,
-        }  # fmt: skip
         calibrate_folder(
             image, method, options, gamma=gamma, seed=seed, workers=workers, dask=dask, cache=cache, output=output,
             force=force, as_json=as_json,
         )  # fmt: skip
         return
     only_of_folders("cep calibrate FOLDER", workers, dask, cache)
+    check_options(method, options)
+    parse_gamma(gamma)
     folder = output or image.with_name(f"{image.stem}_motion")
     claim_folder(folder, CALIBRATION_FILES, force=force)
     photo = read_photo(image, gamma=gamma)

@@ -79,9 +79,9 @@ def audit(
     noise = load_camera(camera, photons=photons, read_noise=read_noise)
     stated = trajectory is not None or linear is not None
     motion = load_motion(trajectory, linear).trajectory if stated else Trajectory.straight(float(shutter.chips))
-    claim([output] if output else [], force=force)
     check_frame(motion)
     check_resolved(motion, shutter.chips)
+    claim([output] if output else [], force=force)
     metrics = judge(motion, shutter, camera=noise)
     # straight motion of constant speed: the code's polynomial decides, whatever the length
     where = None if metrics.min_chip is not None else motion
@@ -127,6 +127,8 @@ def audit(
         write_text(output, json_text(result))
 
     def show(console: Console) -> None:
+        from cep.wording import number
+
         console.print(f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings: {shutter.bits}")
         console.print(
             f"motion: {motion.length_px:.1f} px, direction {motion.direction}" + ("" if stated else " (1 px a chip)")
@@ -134,7 +136,8 @@ def audit(
         rows = [(name, metrics.in_words(name)) for name in metrics.to_dict()]
         console.print(table("", ("figure", "value"), rows))
         what, place = ("|P|", "chips") if where is None else ("|H|", "light-true"), _place(minimum.at, where is None)
-        console.print(f"smallest {what[0]}: {minimum.lower:.6g} .. {minimum.upper:.6g} ({what[1]}) at {place}")
+        bounds = " .. ".join(number(value, digits=6) for value in (minimum.lower, minimum.upper))
+        console.print(f"smallest {what[0]}: {bounds} ({what[1]}) at {place}")
         console.print(f"proof: {minimum.method}" + ("" if verdict is None else _in_words(verdict)))
         for way, them in zeros.items():
             known = "" if them.complete else " or more"
@@ -173,8 +176,9 @@ def mtf(
     from cep.code import ShutterCode
     from cep.design import check_frame, check_resolved, judge
     from cep.outputs import claim
-    from cep.plots import mtf_curve, mtf_figure, save
+    from cep.plots import check_figure_name, mtf_curve, mtf_figure, save
 
+    check_figure_name(output)
     motion = load_motion(trajectory, linear).trajectory
     check_frame(motion)
     shutters: dict[str, ShutterCode | None] = {"open shutter": None}

@@ -129,10 +129,12 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) 
 
 
 def _cell(value: object) -> str:
+    from cep.wording import number
+
     if value is None:
         return "–"
     if isinstance(value, float):
-        return f"{value:.4g}" if abs(value) < 1000 else f"{value:.1f}"
+        return number(value) if abs(value) < 1000 else f"{value:.1f}"
     return str(value)
 
 

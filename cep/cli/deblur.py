@@ -58,7 +58,7 @@ def deblur(
     from cep.design import check_resolved
     from cep.exposure import coded_psf
     from cep.files import read_psf
-    from cep.images import read_photo, write_image
+    from cep.images import check_image_name, parse_gamma, read_photo, write_image
     from cep.outputs import claim
     from cep.restore import METHODS, restore
     from cep.restore.direction import test_directions
@@ -77,13 +77,15 @@ def deblur(
                 f'--camera, --photons, --read-noise: only the methods "wiener" and "pnp" use them, not "{method}"'
             )
         options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
-    target = output or image.with_name(f"{image.stem}_sharp.png")
-    claim([target], force=force, inputs=[image])
+    parse_gamma(gamma)
     shutter = ShutterCode("1") if code is None else load_code(code).code
     motion = None if trajectory is None else load_motion(trajectory, None).trajectory
     if motion is not None:
         check_resolved(motion, shutter.chips)
     kernel = None if psf is None else read_psf(psf)
+    target = output or image.with_name(f"{image.stem}_sharp.png")
+    check_image_name(target)
+    claim([target], force=force, inputs=[image])
     photo = read_photo(image, gamma=gamma)
     try:
         check_texture(photo.pixels)

@@ -38,11 +38,12 @@ def demo(
     import numpy as np
 
     from cep.demo import DEMO_FILES, bundled_scene, own_photo, run_chain, write_demo
-    from cep.images import read_photo
+    from cep.images import parse_gamma, read_photo
     from cep.outputs import claim_folder
 
-    claim_folder(output, DEMO_FILES, force=force)
+    parse_gamma(gamma)
     noise = load_camera(camera, photons=photons, read_noise=read_noise)
+    claim_folder(output, DEMO_FILES, force=force)
     started = time.perf_counter()
     with progress("starting") as tick:
         if photo is None:

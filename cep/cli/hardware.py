@@ -30,7 +30,11 @@ def export(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="File to write; CODE.SUFFIX when omitted (json: CODE.program.json)."),
+        typer.Option(
+            "-o",
+            "--output",
+            help="File to write; CODE.SUFFIX when omitted (json: CODE.program.json, rp2: CODE_rp2.py).",
+        ),
     ] = None,
     chip_ns: ChipNs = None,
     device: Device = None,
@@ -41,8 +45,8 @@ def export(
     """Write a code as a timed shutter program, and read it back to prove the edges.
 
     csv, json, vcd: its edges, for scripts and logic analysers. c: a header for firmware of your own. arduino, rp2: a
-    whole program for an Uno or a Pico. pulsepal, scpi: settings of a Pulse Pal or a waveform generator. camera, dmd: a
-    recipe for a multi-exposure camera or a micromirror array.
+    whole program for an Uno, or for a Pico with MicroPython, as its main.py. pulsepal, scpi: settings of a Pulse Pal or
+    a waveform generator. camera, dmd: a recipe for a multi-exposure camera or a micromirror array.
 
     Example: cep export code.json --format c -o shutter_code.h
     """
@@ -54,7 +58,9 @@ def export(
     chosen = exporter(file_format)
     program, profile = load_program(code, chip_ns=chip_ns, device=device)
     stem, suffix = Path(code).stem if code.endswith(".json") else "code", chosen.suffix
-    target = output or Path(f"{stem}{'.program' if suffix == '.json' else ''}{suffix}")  # a code is JSON too
+    # a code is JSON too, and a code.py would hide Python's own module from whatever runs beside it
+    more = {".json": ".program", ".py": "_rp2"}.get(suffix, "")
+    target = output or Path(f"{stem}{more}{suffix}")
     claim([target], force=force, inputs=[code])
     text = chosen.export(program, profile or DeviceProfile(name="generic"))
     if chosen.parse_back(text) != program:

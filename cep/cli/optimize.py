@@ -194,17 +194,20 @@ def optimize(
         raise ValueError(reason)
     described = {**described, "steps": found.steps, "proof": found.proof}
     write_code(file, StoredCode(code, problem=described))  # already: Ctrl-C from here on must not lose it
-    worth = appraise(problem, code, along=wanted.along, effort=how.effort, seed=seed)
+    worth = appraise(problem, code, along=wanted.along, effort=how.effort, seed=seed, time_s=time_s)
     write_code(file, StoredCode(code, worth.ours.metrics.to_dict(), described, worth.certificate))
+    told = report(found, worth)
     result = {
         "file": file,
-        **report(found, worth),
+        **told,
         "seed": seed,
-        "warnings": warnings_of(problem, interrupted=found.interrupted, method=method),
+        "warnings": warnings_of(problem, interrupted=found.interrupted, method=method, baselines=told["baselines"]),
     }
     straight = wanted.along is None
 
     def show(console: Console) -> None:
+        from cep.wording import number
+
         console.print(f"{file}: {code.bits}")
         console.print(f"{code.open_chips} of {chips} chips open, {code.pulses} openings, {found.seconds:.1f} s")
         columns = ("code", "open", "min |P|, chips" if straight else "min MTF", "noise gain, dB", "MSE, dB")
@@ -218,13 +221,13 @@ def optimize(
             for row in (worth.ours, *worth.others)
         ]
         console.print(table("compared on this motion (worse direction where unknown)", columns, rows))
+        bounds = "..".join(number(worth.certificate[end], digits=6) for end in ("lower", "upper"))
         console.print(
-            f"certified: min {'|P|' if straight else '|H|'} lies within "
-            f"{worth.certificate['lower']:.6g}..{worth.certificate['upper']:.6g} ({worth.certificate['method']})"
+            f"certified: min {'|P|' if straight else '|H|'} lies within {bounds} ({worth.certificate['method']})"
         )
         if result["proven"] and found.proof is not None:
             console.print(f"proven: no code within the limits is better on {found.proof['domain']}")
         elif worth.bound is not None:
-            console.print(f"{worth.figure}: no code with so many open chips can do better than {worth.bound:.4g}")
+            console.print(f"{worth.figure}: no code with so many open chips can do better than {number(worth.bound)}")
 
     finish(result, as_json=as_json, show=show)

@@ -71,11 +71,11 @@ def optimize_folder(
     from cep.outputs import claim_folder, write_text
 
     motions = motions_in(folder)
+    tasks, failures = _tasks(folder, motions, task)  # first: it tells what is wrong with the options
     target = output or folder
     claim_folder(target, [_SUMMARY], force=force)
     for name in motions:
         claim_folder(target / name, [_CODE], force=force)
-    tasks, failures = _tasks(folder, motions, task)
     version = source_version(["cep.optimize"])
     cells = [
         Cell(
@@ -169,7 +169,7 @@ def _written(
         file = target / name / _CODE
         file.parent.mkdir(parents=True, exist_ok=True)
         write_code(file, stored)
-        warnings = warnings_of(tasks[name].problem, interrupted=False, method=how.method)
+        warnings = warnings_of(tasks[name].problem, interrupted=False, method=how.method, baselines=told["baselines"])
         if told["interrupted"]:
             warnings.append("--time ended the search: another run may give another code")
         codes[name] = {"file": file, **told, "warnings": warnings}

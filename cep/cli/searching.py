@@ -114,12 +114,19 @@ def unplayable(bits: str, profile: DeviceProfile | None, chip_ns: int) -> str:
     return f"no code was found that the device can play: {'; '.join(problems)}" if problems else ""
 
 
-def warnings_of(problem: SearchProblem, *, interrupted: bool, method: str) -> list[str]:
-    """Say what the user should know of the result besides its figures."""
+def warnings_of(
+    problem: SearchProblem, *, interrupted: bool, method: str, baselines: Mapping[str, Mapping[str, Any]]
+) -> list[str]:
+    """Say what the user should know of the result, and of its baselines as reported, besides their figures."""
     told = []
     if interrupted:
         what = "the proof was stopped early" if method == "exact" else "the search was stopped early"
         told.append(f"{what}, this is the best code so far")
+    told += [
+        f"the search of the {name} was stopped early, by --time or Ctrl-C: another run may give another"
+        for name, figures in baselines.items()
+        if figures["stopped_early"]
+    ]
     if problem.response is not None or len(problem.scenarios) > 1 or problem.scenarios[0].edges is not None:
         told.append("the certificate is for a shutter that opens at once and on time, along the motion as it was given")
     return told

@@ -55,14 +55,16 @@ def simulate(
     from cep.design import check_resolved
     from cep.exposure import coded_psf
     from cep.files import PSF_SUFFIXES, write_psf
-    from cep.images import read_photo, write_image
+    from cep.images import check_image_name, parse_gamma, read_photo, write_image
     from cep.outputs import claim
 
+    parse_gamma(gamma)
     motion = load_motion(trajectory, linear).trajectory
     shutter = ShutterCode("1") if code is None else load_code(code).code
     check_resolved(motion, shutter.chips)
     noise = load_camera(camera, photons=photons, read_noise=read_noise)
     target = output or sharp.with_name(f"{sharp.stem}_{'open' if code is None else 'coded'}.png")
+    check_image_name(target)
     stem = f"{target.stem}_psf"
     claim([target, *(target.with_name(stem + suffix) for suffix in PSF_SUFFIXES)], force=force, inputs=[sharp])
     photo = read_photo(sharp, gamma=gamma)

@@ -1,6 +1,6 @@
 """Figures: every function returns a matplotlib Figure of its own, without pyplot, global state or windows."""
 
-from cep.plots.canvas import COLOURS, png_bytes, save
+from cep.plots.canvas import COLOURS, check_figure_name, png_bytes, save
 from cep.plots.codes import code_strips, main_axis, mtf_curve, mtf_figure
 from cep.plots.motion import psf_figure, trajectory_figure
 from cep.plots.photos import before_after
@@ -8,6 +8,7 @@ from cep.plots.photos import before_after
 __all__ = [
     "COLOURS",
     "before_after",
+    "check_figure_name",
     "code_strips",
     "main_axis",
     "mtf_curve",

@@ -16,7 +16,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["COLOURS", "LINES", "new_figure", "png_bytes", "save", "show_inset", "show_photo", "thumbnail", "undated"]
+__all__ = [
+    "COLOURS",
+    "LINES",
+    "check_figure_name",
+    "new_figure",
+    "png_bytes",
+    "save",
+    "show_inset",
+    "show_photo",
+    "thumbnail",
+    "undated",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -52,6 +63,12 @@ def png_bytes(figure: Figure, *, dpi: int = _DPI) -> bytes:
     return stream.getvalue()
 
 
+def check_figure_name(path: Path | str) -> None:
+    """Check, before any work is done, that :func:`save` writes such files; raises ValueError as it does."""
+    if Path(path).suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise ValueError(f"{path}: figures are written as .png, .pdf or .svg")
+
+
 def save(figure: Figure, path: Path | str) -> None:
     """Write a figure as .png, .pdf or .svg, whole or not at all.
 
@@ -61,8 +78,7 @@ def save(figure: Figure, path: Path | str) -> None:
         If the name has another suffix.
     """
     target = Path(path)
-    if target.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise ValueError(f"{target}: figures are written as .png, .pdf or .svg")
+    check_figure_name(target)
     content = undated(figure, target.suffix[1:].lower())
     with new_file(target) as temporary:
         temporary.write_bytes(content)

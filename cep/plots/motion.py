@@ -46,17 +46,16 @@ def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = 
     bar = right.add_collection(_coloured_by_time(trajectory.xy, trajectory.t, width=3.0))
     even = trajectory.at(np.linspace(0, 1, 21))
     right.scatter(*even.T, s=14, color="white", edgecolor="black", linewidth=0.7, zorder=3)
-    for fraction, label in ((0.0, "start"), (1.0, "end")) if known else ((0.0, "one end"), (1.0, "other end")):
-        point = trajectory.at(fraction)
-        marker = {"s": 64, "zorder": 4, "edgecolor": "white", "linewidth": 1.2}
-        colour = COLOURS[2] if fraction == 0 else COLOURS[1]
-        right.scatter(*point, color=colour, **marker)
-        # beside its end, away from the path's middle
-        ahead = 1 if point[0] >= 0.5 * np.ptp(trajectory.x) + trajectory.x.min() else -1
-        right.annotate(
-            label, point, (9 * ahead, 0), textcoords="offset points", ha="left" if ahead > 0 else "right", va="center",
-            color=colour, fontweight="bold", zorder=5,
-        )  # fmt: skip
+    # the second end is drawn smaller, over the first: of a closed path both show
+    names = ("start", "end") if known else ("one end", "other end")
+    for name, point, colour, marker, size in zip(
+        names, trajectory.xy[[0, -1]], (COLOURS[2], COLOURS[1]), "os", (150, 52), strict=True
+    ):
+        right.scatter(
+            *point, s=size, marker=marker, color=colour, edgecolor="white", linewidth=1.2, zorder=4, label=name
+        )
+    # names above the axes: beside their ends they would lie over each other, or over a tangled path
+    right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, handletextpad=0.2)
     half = 0.62 * max(trajectory.extent_px, 4.0)
     middle = 0.5 * (trajectory.xy.min(axis=0) + trajectory.xy.max(axis=0))
     right.set(
@@ -65,8 +64,8 @@ def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = 
         xlabel="x, px",
         ylabel="y (down), px",
         aspect="equal",
-        title=f"Path: {trajectory.length_px:.1f} px long, {trajectory.extent_px:.1f} px wide",
     )
+    right.set_title(f"Path: {trajectory.length_px:.1f} px long, {trajectory.extent_px:.1f} px wide", pad=26)
     right.grid(color="0.92")
     right.set_axisbelow(True)
     note = "time, fraction of the exposure" + ("" if known else " (or reversed)")

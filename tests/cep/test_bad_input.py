@@ -349,6 +349,37 @@ def test_existing_outputs_are_kept(refused, cep, workplace, command):
         assert kept.read_bytes() != b"precious"
 
 
+@pytest.mark.parametrize(
+    ("command", "options", "message"),
+    [
+        ("calibrate", ["--method", "zzz"], "method: must be one of"),
+        ("calibrate", ["--samples", "3"], "samples"),
+        ("calibrate", ["--gamma", "7"], "gamma"),
+        ("optimize", ["--objective", "beauty"], "objective: must be one of"),
+        ("audit", ["--linear", "0.5"], "chips"),
+        ("simulate", ["--gamma", "7"], "gamma"),
+        ("simulate", ["--code", "10201"], "only 0 and 1"),
+        ("deblur", ["--gamma", "7"], "gamma"),
+        ("deblur", ["--code", "10201"], "only 0 and 1"),
+        ("export", ["--chip-ns", "1", "--device", "nothing"], "nothing"),
+        ("upload", ["--driver", "none"], "--driver"),
+        ("demo", ["--photons", "-5"], "photons"),
+        ("demo", ["--gamma", "7"], "gamma"),
+    ],
+    ids=lambda part: part if isinstance(part, str) else " ".join(part),
+)
+def test_wrong_options_are_told_before_outputs_in_the_way(refused, workplace, command, options, message):
+    taken = Path("out.png")
+    if command in ("calibrate", "demo"):
+        taken.mkdir()
+        (taken / "trajectory.json").write_text("precious")
+    else:
+        taken.write_text("precious")
+    line = refused(*(part.replace("OUT", "out.png") for part in WRITERS[command]), *options)
+    assert message in line
+    assert "exists already" not in line
+
+
 @pytest.mark.parametrize("command", WRITERS)
 def test_unwritable_folders(refused, workplace, monkeypatch, command):
     real = os.access
@@ -375,8 +406,10 @@ def test_missing_folders_are_named(refused, workplace):
         ["deblur", "blurred.png", "--trajectory", "trajectory.json", "-o", "sharp"],
     ],
 )
-def test_unknown_kinds_of_output(refused, arguments):
+def test_unknown_kinds_of_output(refused, workplace, arguments):
     assert ".png" in refused(*arguments)
+    Path(arguments[-1]).write_text("precious")
+    assert "are written as .png" in refused(*arguments)  # another name is what helps, not --force
 
 
 # -- the rest -------------------------------------------------------------------------------------------------------

@@ -101,6 +101,12 @@ def test_hand_written_file_may_be_short(tmp_path):
     assert Camera.from_file(tmp_path / "c.toml") == Camera(photons_full_scale=300.0, bits=8)
 
 
+@pytest.mark.parametrize(("name", "text"), [("c.toml", "bits = 8\n"), ("c.json", '{"bits": 8}')])
+def test_a_byte_order_mark_as_windows_editors_write_is_no_harm(tmp_path, name, text):
+    (tmp_path / name).write_text(text, encoding="utf-8-sig")
+    assert Camera.from_file(tmp_path / name) == Camera(bits=8)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [

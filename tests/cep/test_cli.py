@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from cep.files import read_code, read_psf
 from cep.images import read_photo, write_image
 from cep.mtf import measure
 from hw.export import EXPORTERS
-from motdiff.files import read_motion, write_motion
+from motdiff.files import StoredMotion, read_motion, write_motion
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
 from motdiff.trajectory import Trajectory
 
@@ -456,6 +457,14 @@ def test_export_never_replaces_its_code(cep, workplace):
     assert Path("code.json").read_bytes() == before
 
 
+@pytest.mark.parametrize("source", ["code.json", "1101"])
+def test_an_exported_script_hides_no_module_of_pythons(cep, workplace, source):
+    file = Path(cep.succeeds("export", source, "--format", "rp2")["file"])
+    assert file.suffix == ".py"
+    assert file.stem.startswith("code")
+    assert file.stem not in sys.stdlib_module_names
+
+
 def test_human_pages(cep, workplace):
     """Without --json every command prints something for people, and nothing on stderr."""
     for arguments in (
@@ -469,3 +478,20 @@ def test_human_pages(cep, workplace):
         cep(*arguments)
         assert (cep.code, cep.err) == (0, ""), arguments
         assert cep.out.strip()
+
+
+def test_what_rounding_leaves_of_a_zero_is_told_as_zero(cep, workplace):
+    """There and back twice along 8 px: the open shutter's MTF is that of a box, 0 at 1/8 cycles/px."""
+    path = Trajectory.from_samples([[0, 0], [8, 0], [0, 0], [8, 0], [0, 0]])
+    write_motion("back.json", StoredMotion(path, source={"method": "test"}))
+    found = cep.succeeds("mtf", "--trajectory", "back.json")["curves"]["open shutter"]
+    assert 0 < found["min_mtf"] < 1e-12  # JSON keeps it
+    searched = ["optimize", "--trajectory", "back.json", "--chips", "10", "--open", "5", "--steps", "500"]
+    for arguments in (
+        ["mtf", "--trajectory", "back.json", "-o", "again.png"],
+        ["audit", "1100110011", "--trajectory", "back.json", "--flips", "0"],
+        [*searched, "-o", "new.json"],
+    ):
+        cep(*arguments)
+        assert cep.code == 0, cep.err
+        assert not re.search(r"\de-1\d", cep.out), cep.out

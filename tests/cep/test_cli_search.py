@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -159,3 +160,23 @@ def test_starts_from_the_relaxation(cep, workplace):
     quick = cep.succeeds(*options, "--objective", "noise", "-o", "quick.json")
     assert found["bound"] >= quick["bound"] - 1e-9
     assert found["noise_gain_db"] >= found["bound"]
+
+
+def test_a_comparison_that_the_time_ended_is_told(cep, workplace, monkeypatch):
+    """Long codes: their baselines may take no longer than the code itself."""
+    limits = []
+
+    def cut_short(_length_px, chips, *, time_s, **_options):
+        limits.append(time_s)
+        return SimpleNamespace(code=ShutterCode("1" * chips), interrupted=True)
+
+    monkeypatch.setattr("cep.baselines.compare.dnf_search", cut_short)
+    searched = ["optimize", "--linear", "12", "--chips", "12", "--steps", "500", "--time", "9"]
+    found = cep.succeeds(*searched, "--force")
+    assert limits == [9.0]
+    assert found["baselines"]["length-only code"]["stopped_early"]
+    assert not found["interrupted"]
+    (warning,) = found["warnings"]
+    assert "the search of the length-only code was stopped early" in warning
+    cep(*searched, "--force")
+    assert cep.err == f"cep: warning: {warning}\n"

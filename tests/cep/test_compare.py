@@ -1,5 +1,7 @@
 """What a code is compared with: each baseline is what its name says, on the same problem."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -62,6 +64,20 @@ def test_the_random_code_is_the_middle_one():
     errors = [problem.measure(ShutterCode.from_array(bits), budget=0).mse_db for bits in drawn]
     low, high = np.percentile(errors, (10, 90))
     assert low <= rows["random code, median"].metrics.mse_db <= high
+
+
+@pytest.mark.parametrize(("given", "used"), [({}, 60.0), ({"time_s": 7.0}, 7.0), ({"time_s": 0.1}, 3.0)])
+def test_the_search_among_the_baselines_keeps_the_time_limit_and_says_what_it_ended(monkeypatch, given, used):
+    limits = []
+
+    def cut_short(_length_px, chips, *, time_s, **_options):
+        limits.append(time_s)
+        return SimpleNamespace(code=ShutterCode("1" * chips), interrupted=True)
+
+    monkeypatch.setattr("cep.baselines.compare.dnf_search", cut_short)
+    rows = named(SearchProblem.along(BENT, chips=9), ShutterCode("110100011"), **given)
+    assert limits == [used]
+    assert [name for name, row in rows.items() if row.stopped_early] == ["length-only code"]
 
 
 def test_known_figures_and_the_chip_time_are_kept():

@@ -38,6 +38,14 @@ def test_resolution_ends_at_a_quarter_pixel():
     check_resolved(Trajectory.straight(0.01), 1)
 
 
+@pytest.mark.parametrize("length_px", [0.0, 1e-300, 1e-12])
+def test_a_path_that_goes_nowhere_is_told_so(length_px):
+    path = Trajectory.straight(length_px)
+    check_resolved(path, 1)
+    with pytest.raises(ValueError, match=r"stays in place, a code of 8 chips needs a motion of at least 2 px"):
+        check_resolved(path, 8)
+
+
 def test_expected_psnr_is_that_of_the_metrics():
     problem = SearchProblem.along(BENT, chips=9, objective="mse", camera=Camera())
     codes = [CODE, ShutterCode("1" * 9)]

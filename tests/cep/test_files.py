@@ -50,6 +50,12 @@ def test_a_wrong_code_file_is_refused_in_one_line(tmp_path, change, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_byte_order_mark_as_windows_editors_write_is_no_harm(tmp_path):
+    path = tmp_path / "code.json"
+    path.write_text(json.dumps({"schema": "cep.code/1", "bits": "1011", "chip_ns": 1000}), encoding="utf-8-sig")
+    assert read_code(path).code == ShutterCode("1011", 1000)
+
+
 @pytest.mark.parametrize("text", ["", "{", "[]", "3", '"cep.code/1"', "\0"])
 def test_what_is_not_a_json_object_is_refused(tmp_path, text):
     (tmp_path / "code.json").write_text(text)

@@ -294,5 +294,28 @@ def test_zeros_of_a_straight_motion():
     assert mtf_minimum(Trajectory.straight(0.5), ShutterCode("1")).lower > 0.9
 
 
+@pytest.mark.parametrize("bits", ["1", "1101", "1010000111000001010000110011110111011111001001100111"])
+@pytest.mark.parametrize("angle_rad", [0.0, 0.6])
+def test_a_motion_with_a_zero_in_closed_form_needs_no_grid(monkeypatch, bits, angle_rad):
+    """The grid's work grows with the square of the length: tens of thousands of px took minutes."""
+    code = ShutterCode(bits)
+    monkeypatch.setattr("cep.certify.minimum.jets", lambda *_: pytest.fail("a grid"))
+    for length_px in (float(2 * code.chips), 30_000.0, 99_999.0):
+        path = Trajectory.straight(length_px, angle_rad=angle_rad)
+        found = mtf_minimum(path, code)
+        assert (found.lower, found.upper) == (0.0, 0.0)
+        assert found.at == zeros_along(path, code).found[0].at
+        assert np.abs(found.at).max() <= 0.5 + 1e-12
+        assert abs(coded_otf(path, code, *found.at)) < 1e-9
+
+
+def test_a_motion_with_zeros_beyond_the_band_alone_still_takes_the_grid():
+    code = ShutterCode("1101")
+    found = mtf_minimum(Trajectory.straight(7.9), code)
+    dense = np.abs(coded_otf(Trajectory.straight(7.9), code, np.linspace(0, 0.5, 20_001), 0.0))
+    assert 0 < found.lower <= dense.min() * (1 + 1e-9)
+    assert found.upper == pytest.approx(dense.min(), rel=1e-3)
+
+
 def test_a_budget_too_small_makes_no_claim_of_completeness():
     assert not zeros_along(shake(0), ShutterCode("110101"), budget=100).complete

@@ -3,6 +3,7 @@
 import csv
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -137,7 +138,8 @@ def test_stopped_it_writes_what_is_finished_and_goes_on(cep, motions, monkeypatc
 
     monkeypatch.setattr(annealing, "anneal", interrupted)
     monkeypatch.setattr(
-        "cep.baselines.compare.dnf_code", lambda _length, chips, **_options: annealing.ShutterCode("1" * chips)
+        "cep.baselines.compare.dnf_search",
+        lambda _length, chips, **_options: SimpleNamespace(code=annealing.ShutterCode("1" * chips), interrupted=False),
     )
     cep(*EACH, "--json")
     assert cep.code == INTERRUPTED
@@ -194,6 +196,7 @@ def taken(_):
         (("--each", "motions", "--frames", "2"), None, "--each: takes the place"),
         (("--each", "motions", "--open", "40"), None, "--open: must lie within 1..12, got 40"),
         (("--each", "motions", "--time", "0"), None, "time_s: must be above 0 seconds"),
+        (("--each", "motions", "--open", "40"), taken, "--open: must lie within 1..12, got 40"),
         (("--each", "motions", "--open", "13", "--chips", "13", "--max-open", "2"), None, "open"),
         (("--each", "motions", "--method", "exact"), None, "--steps: a proof with --method exact"),
         (("--each", "motions", "--workers", "0"), None, "--workers"),

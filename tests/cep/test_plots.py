@@ -9,6 +9,7 @@ import pytest
 
 from cep.code import ShutterCode
 from cep.plots import (
+    COLOURS,
     before_after,
     code_strips,
     main_axis,
@@ -19,8 +20,10 @@ from cep.plots import (
     save,
     trajectory_figure,
 )
+from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
+NAMES = ("start", "end", "one end", "other end")
 BENT = Trajectory.from_samples([[0, 0], [8, 2], [9, 9]], direction="known")
 
 
@@ -47,16 +50,49 @@ def test_a_path_is_drawn_as_the_photo_lies():
     path = figure.axes[1]
     assert path.get_ylim()[0] > path.get_ylim()[1]
     assert path.get_xlim()[0] < path.get_xlim()[1]
-    labels = [text.get_text() for text in path.texts]
-    assert labels == ["start", "end"]
-    starts = path.collections[2].get_offsets()
-    np.testing.assert_allclose(starts[0], BENT.xy[0])
+    ends = {drawn.get_label(): drawn.get_offsets()[0] for drawn in path.collections if drawn.get_label() in NAMES}
+    np.testing.assert_allclose(ends["start"], BENT.xy[0])
+    np.testing.assert_allclose(ends["end"], BENT.xy[-1])
+    assert [text.get_text() for text in path.get_legend().get_texts()] == ["start", "end"]
 
 
 def test_an_unknown_direction_has_no_start():
     unknown = Trajectory.from_samples(BENT.xy)
-    labels = [text.get_text() for text in trajectory_figure(np.zeros((40, 60)), unknown).axes[1].texts]
-    assert labels == ["one end", "other end"]
+    legend = trajectory_figure(np.zeros((40, 60)), unknown).axes[1].get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == ["one end", "other end"]
+
+
+def closed():
+    angle = np.linspace(0, 2 * np.pi, 80)
+    return Trajectory.from_samples(8 * np.stack([np.cos(angle), np.sin(2 * angle) / 2], 1), direction="known")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [Trajectory.straight(20.0), Trajectory.straight(0.0), closed(), boracchi_foi(np.random.default_rng(8))],
+    ids=["straight", "still", "closed", "tangle"],
+)
+def test_the_names_of_both_ends_can_be_read_wherever_the_ends_are(path):
+    """Neither lies over the other, over the path or over the scale of time; and both ends are there to be seen."""
+    figure = trajectory_figure(np.full((40, 60), 0.5), path)
+    image = cv2.cvtColor(pixels(figure), cv2.COLOR_BGR2RGB)  # places the texts, too
+    figure.canvas.draw()
+    panel, scale = figure.axes[1:]
+    legend = panel.get_legend()
+    words = [text for text in (*panel.texts, *legend.get_texts()) if text.get_text() in NAMES]
+    first, second = (text.get_window_extent() for text in words)
+    assert not first.overlaps(second)
+    for box in (first, second):
+        assert not box.overlaps(panel.bbox)
+        assert not box.overlaps(scale.bbox)
+        assert not box.overlaps(panel.title.get_window_extent())
+        assert figure.bbox.contains(*box.min)
+        assert figure.bbox.contains(*box.max)
+    left, bottom, right, top = (panel.bbox.extents * 60 / figure.dpi).astype(int)
+    inside = image[len(image) - top : len(image) - bottom, left:right].astype(int)
+    for colour in (COLOURS[1], COLOURS[2]):
+        wanted = [int(colour[place : place + 2], 16) for place in (1, 3, 5)]
+        assert (np.abs(inside - wanted).max(axis=2) < 40).sum() >= 10
 
 
 def test_axes_have_units():

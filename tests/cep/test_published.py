@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cep.baselines import published as module
 from cep.baselines.published import (
     CLAIMS,
     PUBLISHED,
@@ -160,3 +161,11 @@ def test_lookup():
 def test_bad_lookups(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_only_codes_of_the_length_that_is_asked_for_are_rotated(monkeypatch):
+    """All rotations take seconds, which every search would wait for."""
+    module._registry.cache_clear()
+    monkeypatch.setattr(module, "best_rotation", lambda code: pytest.fail(f"{code.chips} chips"))
+    assert module.for_chips(512) == ()
+    assert [entry.name for entry in module.for_chips(13)] == ["barker-13"]

@@ -38,7 +38,9 @@ class Reader(HTMLParser):
 @pytest.fixture
 def report():
     table = Table(
-        ("code", "min MTF", "gain, dB"), (("ours", 0.123456, -1.5), ("open", None, float("nan"))), highlight=0
+        ("code", "min MTF", "gain, dB"),
+        (("ours", 0.123456, -1.5), ("open", None, float("nan")), ("snapshot", 1.2e-16, -0.0)),
+        highlight=0,
     )
     sections = (
         Section("Motion", ("It moved.",), (table,), (Picture(PNG, "A path", "a line"),), ("Direction unknown.",)),
@@ -84,6 +86,7 @@ def test_numbers_warnings_and_links(report):
     for text in ("0.1235", "−1.5", "–", "Direction unknown.", "12 px", "seed 1"):
         assert text in reader.text
     assert "nan" not in reader.text
+    assert "1.2e" not in reader.text  # 0 but for rounding
     targets = {value for _, name, value in reader.attributes if name == "id"}
     links = {value.removeprefix("#") for _, name, value in reader.attributes if name == "href"}
     assert links == targets

@@ -58,6 +58,13 @@ def test_a_path_off_centre_is_centred_on_reading(tmp_path: Path) -> None:
     np.testing.assert_allclose(motion.xy, expected.xy)
 
 
+def test_a_byte_order_mark_as_windows_editors_write_is_no_harm(tmp_path: Path) -> None:
+    plain, marked = tmp_path / "plain.json", tmp_path / "marked.json"
+    plain.write_text(json.dumps(document()), encoding="utf-8")
+    marked.write_text(json.dumps(document()), encoding="utf-8-sig")
+    np.testing.assert_array_equal(read_motion(marked).trajectory.xy, read_motion(plain).trajectory.xy)
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

@@ -72,7 +72,7 @@ def _train(given: argparse.Namespace) -> None:
 def _export(given: argparse.Namespace) -> None:
     from cep.baselines.dce.weights import export_weights
 
-    notes = None if given.notes is None else json.loads(given.notes.read_text(encoding="utf-8"))
+    notes = None if given.notes is None else json.loads(given.notes.read_text(encoding="utf-8-sig"))
     if not isinstance(notes, dict | None):
         raise ValueError(f"{given.notes}: must hold a JSON object")
     size = export_weights(given.run / "checkpoint", given.out, notes=notes)
