@@ -83,7 +83,12 @@ def display_photo(grey: Tensor) -> Tensor:
 
 
 def quick_kernels(
-    photos: Tensor, *, sigma: float = 0.01, starts: tuple[QuickStart, ...] = QUICK_STARTS, iterations: int = 2
+    photos: Tensor,
+    *,
+    sigma: float = 0.01,
+    starts: tuple[QuickStart, ...] = QUICK_STARTS,
+    iterations: int = 2,
+    fine_weights: tuple[float, ...] = (),
 ) -> Tensor:
     """Kernels of shortened PMP searches, one per start.
 
@@ -97,6 +102,8 @@ def quick_kernels(
     iterations : int
         Alternations of photo and kernel at each scale; 2 with double growth of the coupling cost a quarter of the
         full search and lose 0.03 to 0.07 MNC.
+    fine_weights : tuple of float
+        See :class:`motdiff.estimators.pmp.blind.PmpSettings`; none in what the shipped networks were trained on.
 
     Returns
     -------
@@ -107,6 +114,7 @@ def quick_kernels(
         settings = replace(
             PmpSettings.for_noise(sigma),
             iterations=iterations,
+            fine_weights=fine_weights,
             kappa=4.0,
             sparsity=start.sparsity,
             gradient_weight=start.gradient_weight,

@@ -1,11 +1,13 @@
 """The blind estimator as its users see it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from motdiff.estimators.pmp import PmpEstimator
-from motdiff.estimators.pmp.blind import estimate_kernels
+from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
 from motdiff.estimators.pmp.estimator import Start
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
@@ -115,3 +117,20 @@ def test_unusable_options_are_refused():
         PmpEstimator(starts=())
     with pytest.raises(ValueError, match="crops"):
         PmpEstimator(crops=0)
+
+
+def test_looking_at_all_gradients_at_each_scale_brings_the_search_nearer():
+    """Six shaken photos, the search shortened: salient edges alone lead away, even from the truth."""
+    t = np.linspace(0, 1, 60)
+    gains = []
+    for seed in range(6):
+        psf = Trajectory.from_samples(np.c_[14 * t, 9 * np.sin(4 * t + seed)]).psf(29)
+        photo = blur_valid(dead_leaves(190, seed), psf)
+        photo = np.clip(photo + np.random.default_rng(seed).normal(0, 0.005, photo.shape), 0, 1)
+        light = torch.from_numpy(photo.astype(np.float32))[None, None]
+        salient = replace(PmpSettings.for_noise(0.005), iterations=2, sparsity=1.0, fine_weights=())
+        fine = replace(salient, fine_weights=PmpSettings().fine_weights)
+        with torch.no_grad():
+            found = [estimate_kernels(light, size=29, settings=settings)[0].numpy() for settings in (salient, fine)]
+        gains.append(mnc_subpixel(found[1], psf) - mnc_subpixel(found[0], psf))
+    assert np.mean(gains) > 0.03

@@ -23,6 +23,7 @@ _FINE_SMOOTHNESS = 0.3
 _FINE_SPARSITY = 0.5
 _FINE_GRADIENT_FLOOR = 2e-4
 _FINE_GRADIENT_PER_VARIANCE = 2.5
+_SHRUNK_NOISE = 0.45  # share of the noise assumed in a shrunk photo: 0.4 and less remains, but assuming that loses 0.01
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,11 @@ class PmpSettings:
         Repetitions at each coupling.
     keep_share : float
         Values below this share of the final kernel's peak are dropped.
+    fine_weights : tuple of float
+        Weights of the gradient count of as many closing alternations at each scale, which look at all gradients
+        (:func:`refine_kernel`): salient edges alone lead away even from the truth.
+    sigma : float
+        Standard deviation of the photo's noise.
     """
 
     iterations: int = 5
@@ -61,11 +67,13 @@ class PmpSettings:
     kappa: float = 2.0
     inner: int = 1
     keep_share: float = 0.05
+    fine_weights: tuple[float, ...] = (3e-3, 1e-3, 3e-4)
+    sigma: float = 0.0
 
     @classmethod
     def for_noise(cls, sigma: float) -> PmpSettings:
         """Return settings whose kernel smoothness suits noise of standard deviation ``sigma``."""
-        return cls(smoothness=_SMOOTHNESS_FLOOR + _SMOOTHNESS_PER_VARIANCE * sigma**2)
+        return cls(smoothness=_SMOOTHNESS_FLOOR + _SMOOTHNESS_PER_VARIANCE * sigma**2, sigma=sigma)
 
 
 def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None = None) -> Tensor:
@@ -129,6 +137,11 @@ def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None 
             threshold = threshold / _DECAY
             intensity = max(intensity / _DECAY, chosen.intensity_floor)
             gradient = max(gradient / _DECAY, chosen.gradient_floor)
+        noise = chosen.sigma * (_SHRUNK_NOISE if scale else 1.0)
+        for weight in chosen.fine_weights:
+            kernel = _fitted_to_all(
+                wrapped, blurred_gradients, kernel, gradient_weight=weight, sigma=noise, kappa=chosen.kappa
+            )
         kernel = centred(kernel)
     peak = kernel.amax(dim=(1, 2), keepdim=True)
     kernel = torch.where(kernel < chosen.keep_share * peak, torch.zeros_like(kernel), kernel)
@@ -153,25 +166,42 @@ def refine_kernel(photos: Tensor, kernel: Tensor, *, sigma: float) -> Tensor:
     -------
     (B, k, k) float32: non-negative, sum 1.
     """
-    batch, crops, height, width = photos.shape
+    batch, _, height, width = photos.shape
     side = kernel.shape[-1]
     flat = photos.flatten(0, 1)
     wrapped = periodic_extension(flat, (fast_size(height + side - 1), fast_size(width + side - 1)))
+    gradients = _by_photo(salient_gradients(flat, flat.new_zeros(flat.shape[0])), batch)
+    return _fitted_to_all(wrapped, gradients, kernel, gradient_weight=_FINE_GRADIENT_FLOOR, sigma=sigma)
+
+
+def _fitted_to_all(
+    wrapped: Tensor,
+    blurred: tuple[Tensor, Tensor],
+    kernel: Tensor,
+    *,
+    gradient_weight: float,
+    sigma: float,
+    kappa: float = 2.0,
+) -> Tensor:
+    """Alternate photo and kernel (B, k, k) once, without minimal pixels and with all gradients.
+
+    ``wrapped`` (B * C, H', W') is the photo made periodic, ``blurred`` its gradients, (B, C, H - 1, W - 1).
+    """
+    batch, crops, rows, columns = blurred[0].shape
     latent = l0_pmp_latent(
         wrapped,
         kernel.repeat_interleave(crops, dim=0),
         intensity_weight=0.0,
-        gradient_weight=_FINE_GRADIENT_FLOOR + _FINE_GRADIENT_PER_VARIANCE * sigma**2,
+        gradient_weight=gradient_weight + _FINE_GRADIENT_PER_VARIANCE * sigma**2,
         patch_px=1,
         coarse=False,
-        kappa=2.0,
+        kappa=kappa,
         inner=1,
-    )[:, :height, :width]
-    everything = flat.new_zeros(flat.shape[0])
+    )[:, : rows + 1, : columns + 1]
     fitted = fit_kernel(
-        _by_photo(salient_gradients(latent, everything), batch),
-        _by_photo(salient_gradients(flat, everything), batch),
-        size=side,
+        _by_photo(salient_gradients(latent, latent.new_zeros(batch * crops)), batch),
+        blurred,
+        size=kernel.shape[-1],
         ridge=2.0,
         smoothness=_FINE_SMOOTHNESS + _SMOOTHNESS_PER_VARIANCE * sigma**2,
         sparsity=_FINE_SPARSITY,
