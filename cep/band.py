@@ -14,6 +14,7 @@ __all__ = [
     "band",
     "band_samples",
     "circle_samples",
+    "in_band",
     "stays_in_place",
     "straight_axis",
     "uniform_length_px",
@@ -62,8 +63,8 @@ def band_samples(trajectory: Trajectory, *, oversampling: int = 64) -> BandSampl
 
     H is the Fourier transform of something no wider than the path, so 1 / extent is its natural step. A straight
     motion takes ``oversampling`` samples per such step along its one axis, or at least 8 where that makes more than
-    2^18, from 8000 px on. A curved one takes the trapezoid rule on 64 intervals a side, or on as many as its extent in
-    px.
+    2^18, for thousands of px. A curved one takes the trapezoid rule on 64 intervals a side, or on as many as its
+    extent in px.
     """
     axis = straight_axis(trajectory)
     if axis is not None:
@@ -81,6 +82,14 @@ def band_samples(trajectory: Trajectory, *, oversampling: int = 64) -> BandSampl
 def circle_samples(chips: int, *, oversampling: int = 64) -> BandSamples:
     """Make a quadrature over the unit circle of a code's polynomial: ``fx`` in cycles/chip, one chip a px."""
     return _along(np.array([1.0, 0.0]), float(chips), oversampling)
+
+
+def in_band(along: float, axis: FloatArray) -> tuple[float, float]:
+    """Find a frequency of the band whose component along a straight motion is ``along``: only that one counts."""
+    x, y = along * axis
+    if max(abs(x), abs(y)) > 0.5:
+        x, y = np.sign(axis) * along / np.abs(axis).sum()
+    return float(x), float(y)
 
 
 def stays_in_place(trajectory: Trajectory) -> bool:

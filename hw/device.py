@@ -198,7 +198,7 @@ def load_profile(name: str | Path) -> DeviceProfile:
         text = (resources.files("hw") / "profiles" / f"{text_name}.toml").read_text(encoding="utf-8")
         return parse_profile(text, source=text_name)
     try:
-        text = Path(name).read_text(encoding="utf-8")
+        text = Path(name).read_text(encoding="utf-8-sig")  # Windows editors write a mark first
     except UnicodeDecodeError:
         raise ValueError(f"{text_name} is not UTF-8 text: a device profile is a TOML file") from None
     except (OSError, ValueError) as error:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from cep.band import straight_axis, uniform_length_px
+from cep.band import in_band, straight_axis, uniform_length_px
 from cep.certify.descent import polish
 from cep.certify.taylor import (
     Pieces,
@@ -126,24 +126,17 @@ def mtf_minimum(
     uniform_px = uniform_length_px(trajectory) if response is None and edges is None else None
     if uniform_px is not None and 0.5 * np.abs(axis).sum() * uniform_px >= code.chips:
         # in the band a chip so long has zeros of its own, those of a box: no grid, whose work is the length squared
-        zero = zeros_along(trajectory, code).found[0]
-        return Minimum(0.0, 0.0, zero.at, zero.method, zero)
+        zero = _first(zeros_along(trajectory, code).found)
+        if zero is not None:  # rounding may put the first one just outside
+            return Minimum(0.0, 0.0, zero.at, zero.method, zero)
     found = _bounded(
         pieces_along(path, axis),
         _PATH_GAP,
         budget,
         lambda _: _first(zeros_along(trajectory, code).found) if uniform_px is not None else None,
     )
-    at = found.zero.at if found.zero else _in_band(found.at[0], axis)
+    at = found.zero.at if found.zero else in_band(found.at[0], axis)
     return Minimum(found.lower, found.upper, at, found.method, found.zero)
-
-
-def _in_band(along: float, axis: FloatArray) -> tuple[float, float]:
-    """Return a frequency of the band whose component along a straight motion is ``along``: only that one counts."""
-    x, y = along * axis
-    if max(abs(x), abs(y)) > 0.5:
-        x, y = np.sign(axis) * along / np.abs(axis).sum()
-    return float(x), float(y)
 
 
 def _bounded(pieces: Pieces, gap: float, budget: int, prove: Callable[[FloatArray], Zero | None]) -> Minimum:

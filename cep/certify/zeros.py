@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.band import straight_axis, uniform_length_px
+from cep.band import in_band, straight_axis, uniform_length_px
 from cep.certify.polynomial import circle_rest, sign_changes, vanishing_orders
 from cep.certify.taylor import Pieces, first_cells, floors, jets, pieces_of_path
 from cep.code import ShutterCode
@@ -247,8 +247,9 @@ def _straight_zeros(trajectory: Trajectory, code: ShutterCode) -> Zeros:
         found |= {round(turn, 12): zero for turn, zero in turns if 0 < turn <= reach}
     listed = []
     for turn, zero in sorted(found.items()):
-        at = axis * turn * per_chip
         listed.append(
-            Zero((float(at[0]), float(at[1])), zero.kind, zero.radius * per_chip, order=zero.order, factor=zero.factor)
+            Zero(
+                in_band(turn * per_chip, axis), zero.kind, zero.radius * per_chip, order=zero.order, factor=zero.factor
+            )
         )
     return Zeros(tuple(listed), of_code.complete)

@@ -127,8 +127,6 @@ def audit(
         write_text(output, json_text(result))
 
     def show(console: Console) -> None:
-        from cep.wording import number
-
         console.print(f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings: {shutter.bits}")
         console.print(
             f"motion: {motion.length_px:.1f} px, direction {motion.direction}" + ("" if stated else " (1 px a chip)")
@@ -136,8 +134,8 @@ def audit(
         rows = [(name, metrics.in_words(name)) for name in metrics.to_dict()]
         console.print(table("", ("figure", "value"), rows))
         what, place = ("|P|", "chips") if where is None else ("|H|", "light-true"), _place(minimum.at, where is None)
-        bounds = " .. ".join(number(value, digits=6) for value in (minimum.lower, minimum.upper))
-        console.print(f"smallest {what[0]}: {bounds} ({what[1]}) at {place}")
+        # as they are: an upper bound of 1e-13 is no proven zero
+        console.print(f"smallest {what[0]}: {minimum.lower:.6g} .. {minimum.upper:.6g} ({what[1]}) at {place}")
         console.print(f"proof: {minimum.method}" + ("" if verdict is None else _in_words(verdict)))
         for way, them in zeros.items():
             known = "" if them.complete else " or more"

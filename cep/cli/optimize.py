@@ -221,9 +221,9 @@ def optimize(
             for row in (worth.ours, *worth.others)
         ]
         console.print(table("compared on this motion (worse direction where unknown)", columns, rows))
-        bounds = "..".join(number(worth.certificate[end], digits=6) for end in ("lower", "upper"))
         console.print(
-            f"certified: min {'|P|' if straight else '|H|'} lies within {bounds} ({worth.certificate['method']})"
+            f"certified: min {'|P|' if straight else '|H|'} lies within "
+            f"{worth.certificate['lower']:.6g}..{worth.certificate['upper']:.6g} ({worth.certificate['method']})"
         )
         if result["proven"] and found.proof is not None:
             console.print(f"proven: no code within the limits is better on {found.proof['domain']}")

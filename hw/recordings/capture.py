@@ -112,7 +112,7 @@ def read_vcd(path: str | Path) -> Recording:
         If the file cannot be read or is no VCD.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")  # Windows programs write a mark first
     except UnicodeDecodeError:
         raise ValueError(f"{path} is no text: save or export the capture as VCD (value change dump)") from None
     except (OSError, ValueError) as error:

@@ -197,7 +197,7 @@ def read_config(path: Path | str) -> TrainingConfig:
         If the file is not TOML, or a section, an entry, a type or a value is not known or wrong; the message names it.
     """
     try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))  # Windows editors write a mark first
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: is not a TOML file: {error}") from error
     unknown = set(content) - set(_SECTIONS)

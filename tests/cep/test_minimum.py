@@ -8,12 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cep.certify.certificate import certify
 from cep.certify.minimum import chip_minimum, min_chip, mtf_minimum
 from cep.certify.polynomial import circle_rest, divided, divisible, sign_changes, vanishing_orders
 from cep.certify.taylor import first_cells, floors, jets, pieces_of_code, pieces_of_path
 from cep.certify.zeros import Zero, kantorovich, zeros_along, zeros_of_code
 from cep.code import ShutterCode
 from cep.exposure import coded_otf, open_path
+from cep.verify.certificates import verify
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -307,6 +309,25 @@ def test_a_motion_with_a_zero_in_closed_form_needs_no_grid(monkeypatch, bits, an
         assert found.at == zeros_along(path, code).found[0].at
         assert np.abs(found.at).max() <= 0.5 + 1e-12
         assert abs(coded_otf(path, code, *found.at)) < 1e-9
+
+
+def test_a_zero_on_the_band_s_very_edge_is_rounded_one_way_or_the_other():
+    """Here the length says that the first zero lies within the band, its place that it does not."""
+    path = Trajectory.straight(57.9528375614075, angle_rad=0.5663900138464376)
+    found = mtf_minimum(path, ShutterCode("1" + 39 * "0"))
+    assert found.lower == 0
+    assert found.upper < 1e-12
+
+
+@pytest.mark.parametrize(("length_px", "angle_rad"), [(14.0659, 1.9581), (17.0, 0.7), (16.5, -2.2)])
+def test_zeros_of_a_slanting_motion_lie_in_the_band(length_px, angle_rad):
+    code, path = ShutterCode("11100101"), Trajectory.straight(length_px, angle_rad=angle_rad)
+    zeros = zeros_along(path, code).found
+    assert zeros
+    for zero in zeros:
+        assert np.abs(zero.at).max() <= 0.5 + 1e-12
+        assert abs(coded_otf(path, code, *zero.at)) < 1e-9
+    assert verify(code.bits, certify(code, path).to_dict()).holds
 
 
 def test_a_motion_with_zeros_beyond_the_band_alone_still_takes_the_grid():

@@ -409,3 +409,10 @@ def test_a_vcd_written_by_sigrok(tmp_path, downsample):
     assert (found.achieved, found.problems) == (RASKAR, ())
     assert abs(found.latency_ns) <= downsample
     assert found.worst_ns <= downsample
+
+
+def test_a_vcd_with_the_mark_of_windows_programs(tmp_path):
+    text = EXPORTERS["vcd"].export(PROGRAM)
+    (tmp_path / "plain.vcd").write_text(text)
+    (tmp_path / "marked.vcd").write_text(text, encoding="utf-8-sig")
+    assert read_vcd(tmp_path / "marked.vcd").traces == read_vcd(tmp_path / "plain.vcd").traces

@@ -155,3 +155,10 @@ def test_bad_files_get_one_clear_line(tmp_path):
             load_profile(name)
         assert words in str(caught.value)
         assert "\n" not in str(caught.value)
+
+
+def test_a_profile_with_the_mark_of_windows_editors(tmp_path):
+    plain, marked = tmp_path / "plain.toml", tmp_path / "marked.toml"
+    plain.write_text('schema = "hw.device/1"\nname = "mine"\ntick_ns = 500\n')
+    marked.write_bytes(b"\xef\xbb\xbf" + plain.read_bytes())
+    assert load_profile(str(marked)) == load_profile(str(plain))

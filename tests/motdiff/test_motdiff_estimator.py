@@ -134,7 +134,7 @@ def no_search(monkeypatch):
     asked = []
 
     def made_up(photos, *, sigma, starts, fine_weights=()):
-        asked.append((tuple(photos.shape), sigma, starts))
+        asked.append((tuple(photos.shape), sigma, starts, fine_weights))
         kernels = torch.zeros(len(photos), len(starts), 64, 64)
         for i, start in enumerate(starts):
             kernels[:, i, 30, 27:38], kernels[:, i, 31:36, 27 + start.size // 20] = 1 / 16, 1 / 16  # an L
@@ -244,7 +244,7 @@ def test_the_quick_searches_share_the_crops_and_their_noise(no_search):
     found = searched_quickly(np.random.default_rng(0).random((3, 80, 90)), sigma=0.02)
     assert found.shape == (3, 64, 64)
     assert sorted(no_search, key=lambda call: call[2][0].size) == [
-        ((1, 3, 80, 90), 0.02, (start,)) for start in sorted(QUICK_STARTS, key=lambda start: start.size)
+        ((1, 3, 80, 90), 0.02, (start,), ()) for start in sorted(QUICK_STARTS, key=lambda start: start.size)
     ]
     assert [int(np.argmax(kernel[33])) for kernel in found] == [27 + start.size // 20 for start in QUICK_STARTS]
 
@@ -432,6 +432,7 @@ def test_the_quick_way_asks_no_full_search(monkeypatch, classical, no_search, sh
     assert FakePmp.asked == 0
     assert found.details["classical"] == len(QUICK_STARTS)
     assert {call[1] for call in no_search} == {noise_sigma(shaken)}
+    assert {call[3] for call in no_search} == {(1e-3, 3e-4)}
 
 
 def test_kernels_that_the_photo_does_not_believe_are_said_to_be_lost(monkeypatch, classical, shaken):
@@ -509,7 +510,7 @@ def test_each_crop_alone_is_searched_once(physics_only, no_search):
     singles = estimator.single(crops, found)
     assert len(singles) == 3
     assert sorted(call[1] for call in no_search) == sorted(noise_sigma(crop) for crop in crops)
-    assert {(call[0], call[2]) for call in no_search} == {((1, 1, 80, 80), QUICK_STARTS[:1])}
+    assert {(call[0], *call[2:]) for call in no_search} == {((1, 1, 80, 80), QUICK_STARTS[:1], ())}
     assert all(single.sum() == pytest.approx(1) for single in singles)
 
 

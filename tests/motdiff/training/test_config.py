@@ -26,6 +26,13 @@ def refused(tmp_path, text, **options):
     return message.partition("run.toml: ")[2]
 
 
+def test_the_mark_of_windows_editors_is_read_over(tmp_path):
+    plain = read(tmp_path, "")
+    file = tmp_path / "run.toml"
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    assert read_config(file) == plain
+
+
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.name)
 def test_a_shipped_configuration_reads(file):
     config = read_config(file)
