@@ -494,4 +494,6 @@ def test_what_rounding_leaves_of_a_zero_is_told_as_zero(cep, workplace):
     ):
         cep(*arguments)
         assert cep.code == 0, cep.err
-        assert not re.search(r"\de-1\d", cep.out), cep.out
+        # but what is proven is told as it is proven: an upper bound of 1e-13 is no zero
+        told = [line for line in cep.out.splitlines() if not line.startswith(("smallest", "certified"))]
+        assert not re.search(r"\de-1\d", "\n".join(told)), cep.out
