@@ -333,14 +333,20 @@ WRITERS = {
 }
 
 
-@pytest.mark.parametrize("command", WRITERS)
-def test_existing_outputs_are_kept(refused, cep, workplace, command):
+def put_in_the_way(command):
+    """Something precious where the command would write: a folder's file, or a file."""
     taken = Path("out.png")
     if command in ("calibrate", "demo"):
         taken.mkdir()
         (taken / "trajectory.json").write_text("precious")
     else:
         taken.write_text("precious")
+    return taken
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_existing_outputs_are_kept(refused, cep, workplace, command):
+    taken = put_in_the_way(command)
     line = refused(*(part.replace("OUT", "out.png") for part in WRITERS[command]))
     assert "exists already, use --force" in line
     if command in ("calibrate", "optimize", "audit", "mtf", "simulate", "deblur", "export"):
@@ -369,12 +375,7 @@ def test_existing_outputs_are_kept(refused, cep, workplace, command):
     ids=lambda part: part if isinstance(part, str) else " ".join(part),
 )
 def test_wrong_options_are_told_before_outputs_in_the_way(refused, workplace, command, options, message):
-    taken = Path("out.png")
-    if command in ("calibrate", "demo"):
-        taken.mkdir()
-        (taken / "trajectory.json").write_text("precious")
-    else:
-        taken.write_text("precious")
+    put_in_the_way(command)
     line = refused(*(part.replace("OUT", "out.png") for part in WRITERS[command]), *options)
     assert message in line
     assert "exists already" not in line
