@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
+from motdiff.estimators.pmp.latent import Coupling
 
 __all__ = [
     "GRID_PX",
@@ -25,6 +26,7 @@ __all__ = [
 ]
 
 GRID_PX = 64
+_QUICK_COUPLING = Coupling(start=16.0, end=100.0, growth=2.0)
 _BAND_SIGMA_CY_PX = 0.22
 _DISPLAY_GAMMA = 2.2
 
@@ -100,7 +102,7 @@ def quick_kernels(
         Standard deviation of the noise.
     starts : tuple of QuickStart
     iterations : int
-        Alternations of photo and kernel at each scale; 2 with double growth of the coupling cost a quarter of the
+        Alternations of photo and kernel at each scale; 2 with faster growth of the coupling cost a quarter of the
         full search and lose 0.03 to 0.07 MNC.
     fine_weights : tuple of float
         See :class:`motdiff.estimators.pmp.blind.PmpSettings`; none in what the shipped networks were trained on.
@@ -114,8 +116,9 @@ def quick_kernels(
         settings = replace(
             PmpSettings.for_noise(sigma),
             iterations=iterations,
+            last_iterations=iterations,
             fine_weights=fine_weights,
-            kappa=4.0,
+            coupling=_QUICK_COUPLING,
             sparsity=start.sparsity,
             gradient_weight=start.gradient_weight,
         )

@@ -33,6 +33,7 @@ _MOST_MOTIONS = 3
 _LOST = 0.5
 # kernels of 42 simulated photos: of five with such paths, one was good
 _WEB_PX, _WEB_TURNS, _WEB_CONFIDENCE = 120.0, 4.0, 0.2
+_TANGLED = 2.5  # length over extent: beyond, codes along the estimate gained nothing over random ones
 _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
 
 
@@ -179,6 +180,12 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
         confidence = min(confidence, _WEB_CONFIDENCE)
         warnings.append(
             f"the path found is {length_px:.0f} px long within {extent_px:.0f} px: more a web of noise than a motion"
+        )
+    elif confidence >= _LOST and length_px > _TANGLED * extent_px:
+        warnings.append(
+            f"the path found is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a blur kernel does not tell "
+            "the order of crossing strands: a code searched along it may be no better than a published one; "
+            "the method gyro tells the order"
         )
     if confidence < _LOST:
         warnings.append(

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from motdiff.metrics import mnc_matrix
+from motdiff.parallel import side_by_side
 
 __all__ = [
     "FEATURES",
@@ -104,7 +106,8 @@ class Spectrum:
         self._used = (radius2 > _BAND_CY_PX[0] ** 2) & (radius2 < _BAND_CY_PX[1] ** 2)
         radius2[0, 0] = 1.0
         self._radius2, self._floor = radius2, max(sigma, _LEAST_SIGMA) ** 2
-        self._power = power[self._used]
+        self._power = power[self._used].astype(np.float32)
+        self._log_median = float(np.median(np.log(power[self._used])))
         log_radius, angle = np.log(radius2)[self._used], np.arctan2(fy, fx)[self._used]
         smooth = np.stack(
             [np.ones_like(angle), log_radius, log_radius**2]
@@ -118,12 +121,13 @@ class Spectrum:
         """Correlation, -1..1, of the photo's log power spectrum with that of ``kernel``, (k, k), sum 1."""
         scene = np.abs(fft.rfft2(kernel, s=self._shape)) ** 2 / self._radius2
         inside = scene[self._used]
-        start = np.exp(np.median(np.log(self._power)) - np.median(np.log(inside + 1e-12)))
+        start = np.exp(self._log_median - np.median(np.log(inside + 1e-12)))
         amplitudes = start * np.geomspace(0.03, 30, 9)
         misfits = []
+        single = inside.astype(np.float32)  # to choose one of nine, in half the time
         for amplitude in amplitudes:
-            model = amplitude * inside + self._floor
-            misfits.append(float(np.mean(np.log(model) + self._power / model)))
+            model = np.float32(amplitude) * single + np.float32(self._floor)
+            misfits.append(float(np.mean(np.log(model) + self._power / model, dtype=np.float64)))
         expected = self._ripples(amplitudes[int(np.argmin(misfits))] * scene + self._floor)
         seen = self._seen
         return float(seen @ expected / np.sqrt((seen @ seen) * (expected @ expected) + 1e-12))
@@ -153,11 +157,11 @@ class Phase:
         energy = float(np.mean(np.diff(photo, axis=0) ** 2) + np.mean(np.diff(photo, axis=1) ** 2))
         noise_to_scene = 40 * max(sigma, 2e-3) ** 2 / max(energy - 4 * sigma**2, 1e-6)
         self._margin = min(32, min(photo.shape) // 4)
-        padded = np.pad(photo, self._margin, mode="symmetric")
+        padded = np.pad(photo - photo.mean(), self._margin, mode="symmetric")
         self._shape = padded.shape
-        self._spectrum = fft.rfft2(padded)
+        self._spectrum = fft.rfft2(padded).astype(np.complex64)  # the evidence changes by 1e-7, in a third of the time
         radius2 = fft.fftfreq(padded.shape[0])[:, None] ** 2 + fft.rfftfreq(padded.shape[1])[None, :] ** 2
-        self._penalty = noise_to_scene * radius2 + 1e-12
+        self._penalty = (noise_to_scene * radius2 + 1e-12).astype(np.float32)
 
     def evidence(self, kernel: FloatArray) -> float:
         """Log ratio of gradient sparsity after restoring with the reflected kernel, and with the kernel itself.
@@ -165,19 +169,21 @@ class Phase:
         Positive when the phase of ``kernel``, (k, k) of odd k, is right: the reflected one rings.
         """
         centre = kernel.shape[0] // 2
-        frame = np.zeros(self._shape)
+        frame = np.zeros(self._shape, dtype=np.float32)
         frame[: kernel.shape[0], : kernel.shape[1]] = kernel
         transfer = fft.rfft2(np.roll(frame, (-centre, -centre), axis=(0, 1)))
-        quotient = self._spectrum / (np.abs(transfer) ** 2 + self._penalty)
+        quotient = self._spectrum / (transfer.real**2 + transfer.imag**2 + self._penalty)
         # point reflection of a real kernel conjugates its transfer function
         right, reflected = (self._sparsity(quotient * response) for response in (transfer.conj(), transfer))
         return reflected - right
 
-    def _sparsity(self, spectrum: NDArray[np.complex128]) -> float:
+    def _sparsity(self, spectrum: NDArray[np.complex64]) -> float:
         inner = slice(self._margin + 8, -self._margin - 8)
         restored = fft.irfft2(spectrum, s=self._shape)[inner, inner]
         gradients = np.concatenate([np.diff(restored, axis=axis).ravel() for axis in (0, 1)])
-        norm = np.mean(np.abs(gradients) ** _SPARSE_NORM) / np.mean(gradients**2) ** (_SPARSE_NORM / 2)
+        energy = gradients**2
+        half = np.float32(_SPARSE_NORM / 2)
+        norm = np.mean(energy**half, dtype=np.float64) / np.mean(energy, dtype=np.float64) ** (_SPARSE_NORM / 2)
         return float(np.log(norm))
 
 
@@ -212,12 +218,12 @@ class Judge:
         -------
         Spectral fit and phase evidence (means over crops), and the share of light on the frame's rim.
         """
-        rows = []
-        for kernel in kernels:
-            fit = np.mean([spectrum.fit(kernel) for spectrum in self._spectra])
-            phase = np.mean([phase.evidence(kernel) for phase in self._phases])
-            rows.append((fit, phase, 1 - kernel[1:-1, 1:-1].sum() / kernel.sum()))
-        return np.array(rows, dtype=np.float64)
+        return np.array(side_by_side([partial(self._row, kernel) for kernel in kernels]), dtype=np.float64)
+
+    def _row(self, kernel: FloatArray) -> tuple[float, float, float]:
+        fit = np.mean([spectrum.fit(kernel) for spectrum in self._spectra])
+        phase = np.mean([phase.evidence(kernel) for phase in self._phases])
+        return float(fit), float(phase), float(1 - kernel[1:-1, 1:-1].sum() / kernel.sum())
 
 
 def kernel_features(photos: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:

@@ -29,7 +29,6 @@ FIGURES = ("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim", "con
 
 _LEAST_WEIGHT, _MOST_WEIGHT = 2e-4, 2e-3
 _WEIGHT_PER_VARIANCE = 2.5
-_KAPPA = 2.0
 _NAN = math.nan
 
 RESTORATION = (
@@ -166,7 +165,7 @@ def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:
 
     from motdiff.estimators.judge import noise_sigma
     from motdiff.estimators.pmp.grids import fast_size, periodic_extension
-    from motdiff.estimators.pmp.latent import l0_pmp_latent
+    from motdiff.estimators.pmp.latent import Coupling, l0_pmp_latent
 
     height, width = photo.shape
     # 2.5 sigma^2 is near the best of 1e-4..1e-2 at sigma 0.01 and 0.03; without noise PMP's 2e-4 for Levin's photos
@@ -183,8 +182,7 @@ def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:
             gradient_weight=weight,
             patch_px=1,
             coarse=False,
-            kappa=_KAPPA,
-            inner=1,
+            coupling=Coupling(),
         )
     return np.asarray(latent[0, :height, :width].double().clamp(0, 1).numpy(), dtype=np.float64)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,7 @@ class _Line:
     own_cost: float
 
 
-@dataclass(frozen=True)
-class _Walk:
+class _Walk(NamedTuple):  # made by the ten thousand
     cost: float
     left_px: float  # line not covered yet
     passes: int  # two bits per branch
@@ -77,7 +77,7 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
     optional = [branch.optional for branch in graph.branches]
     extra = [_EXTRA_WEIGHT * branch.extra_px for branch in graph.branches]
     total = sum(line.length + extra[i] for i, line in enumerate(lines[::2]) if not optional[i])
-    turn_cost: dict[tuple[tuple[int, ...], int], float] = {}
+    turns: dict[tuple[tuple[int, ...], int], tuple[float, tuple[int, ...]]] = {}  # cost, and what is recent after it
 
     def extend(walk: _Walk, i: int) -> _Walk | None:
         branch, line = i // 2, lines[i]
@@ -85,10 +85,10 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
         passes = (walk.passes >> 2 * branch) & 3
         if passes >= _MOST_PASSES or (optional[branch] and passes):
             return None
-        key = (walk.recent, i)
-        if key not in turn_cost:
-            turn_cost[key] = _turn_cost([lines[j] for j in walk.recent], line)
-        cost, left = walk.cost + turn_cost[key] - relief, walk.left_px
+        turn = turns.get((walk.recent, i))
+        if turn is None:
+            turn = turns[walk.recent, i] = _turn(lines, walk.recent, i)
+        cost, left = walk.cost + turn[0] - relief, walk.left_px
         if optional[branch]:
             cost += _GAP_COST * line.length
         elif passes:
@@ -96,10 +96,7 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
             left -= extra[branch] if passes == 1 else 0.0
         else:
             left -= line.length
-        recent = (*walk.recent, i)
-        while len(recent) > 1 and sum(lines[j].length for j in recent[1:]) >= _MEMORY_PX:
-            recent = recent[1:]
-        return _Walk(cost, left, walk.passes + (1 << 2 * branch), recent, walk, i)
+        return _Walk(cost, left, walk.passes + (1 << 2 * branch), turn[1], walk, i)
 
     buried = {node: _BURIED_END_COST if len(near) > 1 else 0.0 for node, near in leaving.items()}
     fresh = []
@@ -158,6 +155,15 @@ def _line(points: FloatArray, ends: tuple[int, ...]) -> _Line:
 
 def _felt(distance_px: FloatArray) -> FloatArray:
     return np.asarray(np.exp(-((distance_px / (2 * _SMOOTHING_PX)) ** 2)), dtype=np.float64)
+
+
+def _turn(lines: list[_Line], recent: tuple[int, ...], following: int) -> tuple[float, tuple[int, ...]]:
+    """Cost of going on along ``following``, and the directed branches that still influence the turn after it."""
+    cost = _turn_cost([lines[j] for j in recent], lines[following])
+    recent = (*recent, following)
+    while len(recent) > 1 and sum(lines[j].length for j in recent[1:]) >= _MEMORY_PX:
+        recent = recent[1:]
+    return cost, recent
 
 
 def _turn_cost(recent: list[_Line], following: _Line) -> float:

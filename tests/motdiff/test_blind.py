@@ -252,6 +252,20 @@ def test_a_web_found_at_half_size_is_told_of_in_pixels_of_the_photo():
     assert at_half == pytest.approx([path.length_px, path.extent_px], abs=0.5)
 
 
+def test_a_tangled_path_s_order_is_said_to_be_unknown_unless_the_whole_estimate_is_lost():
+    tangle = np.zeros((KERNEL_PX, KERNEL_PX))
+    tangle[14:25:5, 14:25] = tangle[14:25, 14:25:5] = 1
+    estimate, _ = found_in(noise(100, 100), FakeSearch((tangle / tangle.sum(), 0.98)))
+    path = estimate.trajectories[0]
+    assert path.length_px > 2.5 * path.extent_px
+    (said,) = estimate.warnings
+    assert said.startswith(f"the path found is tangled ({path.length_px:.0f} px within {path.extent_px:.0f} px)")
+    assert "method gyro" in said
+    assert estimate.confidence == 0.98
+    (lost,) = found_in(noise(100, 100), FakeSearch((tangle / tangle.sum(), 0.4)))[0].warnings
+    assert lost.startswith("the blind estimate is probably lost")
+
+
 def test_a_tangle_is_a_web_by_its_length_where_it_was_searched():
     """Of 130 px at most in the photo but half of that where it was found: no web, however many turns it takes."""
     web = np.zeros((KERNEL_PX, KERNEL_PX))

@@ -244,7 +244,7 @@ def test_the_quick_searches_share_the_crops_and_their_noise(no_search):
     found = searched_quickly(np.random.default_rng(0).random((3, 80, 90)), sigma=0.02)
     assert found.shape == (3, 64, 64)
     assert sorted(no_search, key=lambda call: call[2][0].size) == [
-        ((1, 3, 80, 90), 0.02, (start,), ()) for start in sorted(QUICK_STARTS, key=lambda start: start.size)
+        ((1, 3, 80, 90), 0.02, (start,), (1e-3, 3e-4)) for start in sorted(QUICK_STARTS, key=lambda start: start.size)
     ]
     assert [int(np.argmax(kernel[33])) for kernel in found] == [27 + start.size // 20 for start in QUICK_STARTS]
 

@@ -173,7 +173,7 @@ def test_latent_of_a_point_kernel_is_the_photo_where_every_edge_is_strong():
     point = torch.zeros(1, 5, 5)
     point[0, 2, 2] = 1
     same = latent.l0_pmp_latent(
-        photo, point, intensity_weight=0.0, gradient_weight=1e-3, patch_px=4, coarse=False, kappa=2.0, inner=1
+        photo, point, intensity_weight=0.0, gradient_weight=1e-3, patch_px=4, coarse=False, coupling=latent.Coupling()
     )
     assert float((same - photo).abs().max()) < 0.03
 

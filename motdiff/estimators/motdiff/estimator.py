@@ -28,7 +28,6 @@ FloatArray = NDArray[np.float64]
 
 _REFINED = 4
 _SAME_MNC = 0.95
-_FINE_WEIGHTS = (1e-3, 3e-4)  # of the shortened searches: fewer steps than the full ones have
 _DUST = 0.02  # of the peak: a network's doubt off the path, never quite 0, is no light
 # of the full search's starts, those that stand for the quick ones the network was trained with
 _TOLD = tuple(sorted((i for i, s in enumerate(STARTS) if s.quarter_turns == 0), key=lambda i: STARTS[i].size))
@@ -140,7 +139,7 @@ class MotDiffEstimator:
     def _classical(self, crops: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
         """Search classical kernels (Q, 64, 64), and those of them that the network is told of (3, 64, 64)."""
         if not self._thorough:
-            quick = searched_quickly(crops, sigma=sigma, fine_weights=_FINE_WEIGHTS)
+            quick = searched_quickly(crops, sigma=sigma)
             return quick, quick
         found = PmpEstimator(progress=lambda share: self._progress(0.7 * share)).kernels(crops)
         framed = np.zeros((len(found), GRID_PX, GRID_PX))

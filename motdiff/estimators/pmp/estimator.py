@@ -20,8 +20,6 @@ __all__ = ["STARTS", "PmpEstimator", "Start", "refined"]
 
 FloatArray = NDArray[np.float64]
 
-_REFINEMENTS = 4
-
 
 @dataclass(frozen=True)
 class Start:
@@ -101,7 +99,7 @@ class PmpEstimator:
         return estimate
 
     def search(self, crops: FloatArray) -> Found:
-        """Run every start on the crops (C, H, W) and refine the best."""
+        """Run every start on the crops (C, H, W) and refine the best once more."""
         kernels = self.kernels(crops)
         ranking = rank_kernels(crops, kernels)
         kernels[ranking.best] = refined(crops, kernels[ranking.best], _sigma(crops), device=self._device)
@@ -109,7 +107,7 @@ class PmpEstimator:
         return Found(tuple(kernels), ranking.probabilities, ranking.best, details)
 
     def kernels(self, crops: FloatArray) -> list[FloatArray]:
-        """Kernel of every start on the crops (C, H, W), unrefined, each (size, size), sum 1."""
+        """Kernel of every start on the crops (C, H, W), each (size, size), sum 1."""
         return side_by_side([partial(self._run, crops, start) for start in self._starts], tell=self._tell)
 
     def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:
@@ -130,7 +128,7 @@ class PmpEstimator:
 
 
 def refined(crops: FloatArray, kernel: FloatArray, sigma: float, *, device: str = "cpu") -> FloatArray:
-    """Refine a kernel (k, k) on the crops (C, H, W) four times, see :func:`motdiff.estimators.pmp.blind.refine_kernel`.
+    """Refine a kernel (k, k) on the crops (C, H, W): :func:`motdiff.estimators.pmp.blind.refine_kernel`.
 
     Parameters
     ----------
@@ -144,8 +142,7 @@ def refined(crops: FloatArray, kernel: FloatArray, sigma: float, *, device: str 
     light = torch.from_numpy(crops.astype(np.float32))[None].to(device)
     found = torch.from_numpy(kernel.astype(np.float32))[None].to(device)
     with torch.no_grad():
-        for _ in range(_REFINEMENTS):
-            found = refine_kernel(light, found, sigma=sigma)
+        found = refine_kernel(light, found, sigma=sigma)
     return np.asarray(found[0].cpu().numpy(), dtype=np.float64)
 
 

@@ -12,7 +12,6 @@ from motdiff.estimators.pmp.grids import fast_size, gradient_power
 
 __all__ = ["centred", "fit_kernel", "without_specks"]
 
-_ROUNDS = (25, 50)  # descent steps: a first fit measures the residual, the second is regularised by it
 _SPECK_MASS = 0.1
 _SPARSITY_CAP = 0.3
 
@@ -26,6 +25,7 @@ def fit_kernel(
     smoothness: float,
     sparsity: float,
     keep_share: float = 0.05,
+    rounds: tuple[int, int] = (25, 50),
 ) -> Tensor:
     r"""Kernel (B, size, size) that turns latent gradients into blurred ones: a sparse non-negative least squares.
 
@@ -46,6 +46,8 @@ def fit_kernel(
         Weight of its sum, in standard deviations of the noise.
     keep_share : float
         Values below this share of the peak are dropped.
+    rounds : (int, int)
+        Steps of the descent in the first fit, which measures the residual, and in the second.
 
     References
     ----------
@@ -73,7 +75,7 @@ def fit_kernel(
     variance = blurred_energy / (2 * crops * height * width)
     step = 1 / transfer.amax(dim=(1, 2), keepdim=True)
     kernel = torch.full_like(right, 1 / size**2)
-    for steps in _ROUNDS:
+    for steps in rounds:
         level = torch.minimum(sparsity * (variance * latent_energy).sqrt(), _SPARSITY_CAP * right.amax(dim=(1, 2)))
         target = right - level[:, None, None].clamp(min=0)
         ahead, momentum = kernel, 1.0

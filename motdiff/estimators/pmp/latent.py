@@ -2,16 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from motdiff.estimators.pmp.grids import gradient_power, psf_to_otf
 
-__all__ = ["l0_pmp_latent", "salient_gradients", "start_threshold"]
+__all__ = ["Coupling", "l0_pmp_latent", "salient_gradients", "start_threshold"]
 
-_ALPHA_MAX = 1e5
 _INTENSITY_CAP = 0.1
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """How the half-quadratic splitting of the gradients tightens; the defaults are those of Xu et al. 2013.
+
+    Attributes
+    ----------
+    start : float
+        First coupling, in gradient weights: squared gradients below ``1 / start`` are dropped at first.
+    end : float
+        Where it ends.
+    growth : float
+        Its growth per step.
+    """
+
+    start: float = 2.0
+    end: float = 1e5
+    growth: float = 2.0
+
+    def steps(self, gradient_weight: float) -> Iterator[float]:
+        """Go through the couplings for the weight of the gradient count."""
+        alpha = self.start * gradient_weight
+        while alpha < self.end:
+            yield alpha
+            alpha *= self.growth
 
 
 def l0_pmp_latent(
@@ -22,13 +50,12 @@ def l0_pmp_latent(
     gradient_weight: float,
     patch_px: int,
     coarse: bool,
-    kappa: float,
-    inner: int,
+    coupling: Coupling,
 ) -> Tensor:
     """Restore a latent photo that has few gradients and whose darkest pixel in each patch is near zero.
 
     Half-quadratic splitting: the gradients are hard-thresholded, the minimal pixels shrunk, and the photo solved for
-    in the Fourier domain, with the coupling growing from ``2 gradient_weight`` to 1e5.
+    in the Fourier domain, with a growing coupling.
 
     Parameters
     ----------
@@ -40,10 +67,7 @@ def l0_pmp_latent(
         Side of the patches whose minimum is shrunk, px.
     coarse : bool
         Shrink softly (coarse scales) instead of setting small minima to zero.
-    kappa : float
-        Growth of the coupling per step.
-    inner : int
-        Repetitions at each coupling.
+    coupling : Coupling
 
     Returns
     -------
@@ -60,17 +84,13 @@ def l0_pmp_latent(
     data = otf.conj() * torch.fft.rfft2(blurred)
     laplacian = gradient_power(height, width, blurred)
     photo = blurred
-    alpha = 2.0 * gradient_weight
-    while alpha < _ALPHA_MAX:
-        for _ in range(inner):
-            if intensity_weight > 0:
-                photo = _shrink_minimal_pixels(photo, intensity_weight, patch_px, soft=coarse)
-            divergence = _salient_divergence(photo, gradient_weight / alpha)
-            spectrum = torch.fft.rfft2(divergence).mul_(alpha).add_(data)
-            parts = torch.view_as_real(spectrum)
-            parts *= (power + alpha * laplacian).reciprocal_()[..., None]  # a division takes four times as long
-            photo = torch.fft.irfft2(spectrum, s=(height, width))
-        alpha *= kappa
+    for alpha in coupling.steps(gradient_weight):
+        if intensity_weight > 0:
+            photo = _shrink_minimal_pixels(photo, intensity_weight, patch_px, soft=coarse)
+        spectrum = torch.fft.rfft2(_salient_divergence(photo, gradient_weight / alpha))
+        torch.add(data, spectrum, alpha=alpha, out=spectrum)
+        spectrum *= torch.add(power, laplacian, alpha=alpha).reciprocal_()  # a division takes four times as long
+        photo = torch.fft.irfft2(spectrum, s=(height, width))
     return photo
 
 
