@@ -183,8 +183,8 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
         )
     elif confidence >= _LOST and length_px > _TANGLED * extent_px:
         warnings.append(
-            f"the path found is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a blur kernel does not tell "
-            "the order of crossing strands: a code searched along it may be no better than a published one; "
+            f"the path found is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a blur kernel does "
+            "not tell the order of crossing strands: a code searched along it may be no better than a published one; "
             "the method gyro tells the order"
         )
     if confidence < _LOST:

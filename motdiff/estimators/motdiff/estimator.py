@@ -26,7 +26,7 @@ __all__ = ["MotDiffEstimator"]
 
 FloatArray = NDArray[np.float64]
 
-_REFINED = 4
+_REFINED = 3
 _SAME_MNC = 0.95
 _DUST = 0.02  # of the peak: a network's doubt off the path, never quite 0, is no light
 # of the full search's starts, those that stand for the quick ones the network was trained with
