@@ -31,8 +31,8 @@ _SPECK_SHARE = 0.1
 _SAME_MNC = 0.8
 _MOST_MOTIONS = 3
 _LOST = 0.5
-# kernels of 42 simulated photos: of five with such paths, one was good
-_WEB_PX, _WEB_TURNS, _WEB_CONFIDENCE = 120.0, 4.0, 0.2
+# kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px, six
+_WEB_PX, _WEB_TURNS, _WEB_CONFIDENCE = 200.0, 4.0, 0.2
 _TANGLED = 2.5  # length over extent: beyond, codes along the estimate gained nothing over random ones
 _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
 
