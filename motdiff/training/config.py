@@ -115,7 +115,8 @@ class OptimiserConfig:
     compile : bool
         Whether torch.compile is used.
     start : str
-        Weights file whose condition network the run starts from; "" for random weights.
+        Weights file that the run starts from: all of it where it holds the same network, else its condition network;
+        "" for random weights.
     seed : int
     """
 

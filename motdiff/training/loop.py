@@ -20,7 +20,7 @@ from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_check
 from motdiff.training.config import LossConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch, BatchSource, seed_of
 from motdiff.training.targets import path_loss, psf_batch
-from motdiff.weights import load_condition
+from motdiff.weights import load_start
 
 __all__ = ["Losses", "Trainer", "learning_rate", "loss_of"]
 
@@ -76,7 +76,7 @@ class Trainer:
             self.network = build_network(config.network)
             self.average = build_network(config.network)
         if config.optimiser.start:
-            load_condition(self.network, config.optimiser.start)
+            load_start(self.network, config.optimiser.start)
         self.average.load_state_dict(self.network.state_dict())
         for mine in (self.network, self.average):
             mine.to(self.device)

@@ -20,9 +20,9 @@ __all__ = [
     "PATH_WEIGHTS",
     "PSF_WEIGHTS",
     "export_weights",
-    "load_condition",
     "load_network",
     "load_path_network",
+    "load_start",
     "read_card",
 ]
 
@@ -129,8 +129,8 @@ def load_path_network(path: Path | str = PATH_WEIGHTS, *, device: str | torch.de
     return network
 
 
-def load_condition(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
-    """Copy the condition network of a weights file, whatever is drawn from it there, into ``network``.
+def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
+    """Copy a weights file into ``network``: all of it where both are the same network, else its condition network.
 
     Raises
     ------
@@ -138,11 +138,16 @@ def load_condition(network: MotDiffNetwork | PathNetwork, path: Path | str) -> N
         If the file is not one of ours, or its condition network has other sizes.
     """
     other = _loaded(path, "cpu")
-    mine = network.state_dict()
-    parts = {name: tensor for name, tensor in other.state_dict().items() if _of_condition(name)}
-    expected = {name: tensor.shape for name, tensor in mine.items() if _of_condition(name)}
-    if {name: tensor.shape for name, tensor in parts.items()} != expected:
-        raise ValueError(f"{path}: its condition network has other sizes than the one to start")
+    mine, parts = network.state_dict(), other.state_dict()
+    if other.config != network.config:
+        parts = {name: tensor for name, tensor in parts.items() if _of_condition(name)}
+        expected = {name: tensor.shape for name, tensor in mine.items() if _of_condition(name)}
+        if {name: tensor.shape for name, tensor in parts.items()} != expected:
+            raise ValueError(f"{path}: its condition network has other sizes than the one to start")
+    elif _OUTPUT_BIAS in parts:
+        bias = parts[_OUTPUT_BIAS].clone()
+        bias[0] += read_card(path)["run"]["offset"]  # the logits as they were trained
+        parts = parts | {_OUTPUT_BIAS: bias}
     network.load_state_dict(mine | parts)
 
 

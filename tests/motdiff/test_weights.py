@@ -1,6 +1,7 @@
 """Weights files: the averaged network to half precision, what a file says of itself, and files that are none."""
 
 import json
+from dataclasses import replace
 
 import pytest
 import torch
@@ -121,6 +122,16 @@ def test_a_file_says_what_it_is(trained, exported):
     assert found["config"]["optimiser"]["window"] == 8
     assert found["run"]["steps"] == 2
     assert found["run"]["seconds"] == pytest.approx(trainer.seconds, abs=0.5)
+
+
+def test_a_run_of_the_same_network_goes_on_from_all_weights_without_their_offset(trained, tmp_path):
+    file = tmp_path / "w.safetensors"
+    export_weights(trained[1], file, offset=1.5)
+    begun = Trainer(replace(trained[0].config, optimiser=OptimiserConfig(steps=2, batch=2, start=str(file))))
+    expected = trained[0].average.state_dict()
+    for network in (begun.network, begun.average):
+        for name, tensor in network.state_dict().items():
+            torch.testing.assert_close(tensor, expected[name], rtol=2**-10, atol=2**-10)
 
 
 def test_a_card_may_be_left_out(trained, tmp_path):

@@ -22,7 +22,6 @@ __all__ = ["draw_psfs", "searched_quickly"]
 FloatArray = NDArray[np.float64]
 
 _PHOTO_PX = 256
-_FINE_WEIGHTS = (1e-3, 3e-4)  # fewer steps than the full searches have
 
 
 def draw_psfs(
@@ -76,15 +75,9 @@ def draw_psfs(
 
 
 def searched_quickly(crops: FloatArray, *, sigma: float) -> FloatArray:
-    """Run the quick searches on crops (C, H, W) with noise ``sigma`` side by side, to kernels (Q, 64, 64), sum 1.
-
-    Closed on all gradients, as no network was trained with: networks draw better from better kernels.
-    """
+    """Run the quick searches on crops (C, H, W) with noise ``sigma`` side by side, to kernels (Q, 64, 64), sum 1."""
     light = torch.from_numpy(crops.astype(np.float32))[None]
-    jobs = [
-        partial(quick_kernels, light, sigma=sigma, starts=(start,), fine_weights=_FINE_WEIGHTS)
-        for start in QUICK_STARTS
-    ]
+    jobs = [partial(quick_kernels, light, sigma=sigma, starts=(start,)) for start in QUICK_STARTS]
     return np.asarray(torch.cat(side_by_side(jobs), dim=1)[0].double().numpy(), dtype=np.float64)
 
 

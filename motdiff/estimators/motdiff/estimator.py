@@ -169,7 +169,7 @@ def _distinct(alike: FloatArray, first: list[int], order: NDArray[np.intp], *, m
 
 def _searched_alone(crop: FloatArray) -> FloatArray:
     light = torch.from_numpy(crop.astype(np.float32))[None, None]
-    kernel = quick_kernels(light, sigma=noise_sigma(crop), starts=QUICK_STARTS[:1])
+    kernel = quick_kernels(light, sigma=noise_sigma(crop), starts=QUICK_STARTS[:1], fine_weights=())
     return np.asarray(kernel[0, 0].double().numpy(), dtype=np.float64)
 
 
