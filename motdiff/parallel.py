@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from typing import TypeVar
 
 __all__ = ["one_thread", "side_by_side"]
@@ -56,7 +56,8 @@ def side_by_side(
     try:
         workers = max(1, min(len(jobs), _cores()))
         with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-            runs = [pool.submit(torch.no_grad()(job)) for job in jobs]
+            # each with the context of here: a job that runs others side by side keeps to one thread as well
+            runs = [pool.submit(copy_context().run, torch.no_grad()(job)) for job in jobs]
             try:
                 for run in runs:
                     results.append(run.result())

@@ -14,7 +14,7 @@ from motdiff.crops import luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.uneven import uneven_blur_warning
 from motdiff.metrics import mnc_subpixel
-from motdiff.tracing import simplest_trajectory
+from motdiff.tracing import is_tangled, simplest_trajectory
 from motdiff.trajectory import Trajectory
 
 __all__ = ["Found", "KernelSearch", "estimate_blind", "without_faint_parts"]
@@ -33,7 +33,6 @@ _MOST_MOTIONS = 3
 _LOST = 0.5
 # kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px, six
 _WEB_PX, _WEB_TURNS, _WEB_CONFIDENCE = 200.0, 4.0, 0.2
-_TANGLED = 2.5  # length over extent: beyond, codes along the estimate gained nothing over random ones
 _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
 
 
@@ -181,7 +180,7 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
         warnings.append(
             f"the path found is {length_px:.0f} px long within {extent_px:.0f} px: more a web of noise than a motion"
         )
-    elif confidence >= _LOST and length_px > _TANGLED * extent_px:
+    elif confidence >= _LOST and is_tangled(trajectories[0]):
         warnings.append(
             f"the path found is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a blur kernel does "
             "not tell the order of crossing strands: a code searched along it may be no better than a published one; "

@@ -128,12 +128,15 @@ def physics_only(weights_of):
     return weights_of("none")
 
 
+CLOSED = "as training has them"  # the default
+
+
 @pytest.fixture
 def no_search(monkeypatch):
     """Make-believe quick kernels, where what is proved does not depend on them; notes what they are asked."""
     asked = []
 
-    def made_up(photos, *, sigma, starts, fine_weights=()):
+    def made_up(photos, *, sigma, starts, fine_weights=CLOSED):
         asked.append((tuple(photos.shape), sigma, starts, fine_weights))
         kernels = torch.zeros(len(photos), len(starts), 64, 64)
         for i, start in enumerate(starts):
@@ -244,7 +247,7 @@ def test_the_quick_searches_share_the_crops_and_their_noise(no_search):
     found = searched_quickly(np.random.default_rng(0).random((3, 80, 90)), sigma=0.02)
     assert found.shape == (3, 64, 64)
     assert sorted(no_search, key=lambda call: call[2][0].size) == [
-        ((1, 3, 80, 90), 0.02, (start,), (1e-3, 3e-4)) for start in sorted(QUICK_STARTS, key=lambda start: start.size)
+        ((1, 3, 80, 90), 0.02, (start,), CLOSED) for start in sorted(QUICK_STARTS, key=lambda start: start.size)
     ]
     assert [int(np.argmax(kernel[33])) for kernel in found] == [27 + start.size // 20 for start in QUICK_STARTS]
 
@@ -413,10 +416,18 @@ def test_the_network_is_told_of_three_full_searches_smallest_frame_first(monkeyp
     assert [start.size for start in QUICK_STARTS] == [29, 39, 53]
 
 
+def test_where_the_first_two_searches_agree_the_larger_stands_for_the_third(monkeypatch, classical, shaken):
+    monkeypatch.setattr(module.PmpEstimator, "kernels", lambda *_: [STRAIGHT.psf(39), LOST[0].psf(53)])
+    network = Blind()
+    found = estimator_with(monkeypatch, network, samples=1, steps=1, refine=False).search(shaken[None])
+    assert len(found.kernels) == 1 + 2 + 1
+    for kernel, told in zip(network.shown[0][0, 2:5].numpy(), (LOST[0], STRAIGHT, LOST[0]), strict=True):
+        np.testing.assert_allclose(kernel, told.psf(64) / told.psf(64).max(), atol=1e-6)
+
+
 def test_the_real_searches_fit(monkeypatch):
     """One start of each kind, on a small photo: their frames shrink with it."""
     monkeypatch.setattr(module, "PmpEstimator", partial(PmpEstimator, starts=(Start(21, sparsity=1.0), Start(99))))
-    monkeypatch.setattr(module, "_TOLD", (0, 1, 0))
     network = Blind()
     options = {"samples": 1, "steps": 1, "refine": False}
     found = estimator_with(monkeypatch, network, **options).search(photo_of(STRAIGHT, 64, 64)[None])
@@ -432,7 +443,7 @@ def test_the_quick_way_asks_no_full_search(monkeypatch, classical, no_search, sh
     assert FakePmp.asked == 0
     assert found.details["classical"] == len(QUICK_STARTS)
     assert {call[1] for call in no_search} == {noise_sigma(shaken)}
-    assert {call[3] for call in no_search} == {(1e-3, 3e-4)}
+    assert {call[3] for call in no_search} == {CLOSED}
 
 
 def test_kernels_that_the_photo_does_not_believe_are_said_to_be_lost(monkeypatch, classical, shaken):

@@ -95,6 +95,12 @@ def test_one_thread_limits_nobody_else(monkeypatch):
         assert other.submit(most_at_a_time, 2, 2).result() == 2
 
 
+def test_one_thread_holds_for_jobs_within_jobs(monkeypatch):
+    cores(monkeypatch, 2)
+    with one_thread():
+        assert side_by_side([lambda: most_at_a_time(2, 1)]) == [1]
+
+
 def test_whoever_only_imports_it_waits_for_no_torch():
     code = "import sys, motdiff.parallel, cep.calibrate_folder; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])

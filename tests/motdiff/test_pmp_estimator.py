@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.estimators.pmp import PmpEstimator
+from motdiff.estimators.pmp import PmpEstimator, blind
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
 from motdiff.estimators.pmp.estimator import Start
+from motdiff.estimators.pmp.latent import l0_pmp_latent
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
@@ -97,6 +98,25 @@ def test_progress_rises_to_one(shaken):
     assert seen[-1] == 1
 
 
+@pytest.mark.parametrize("agree", [True, False])
+def test_more_starts_are_run_only_where_the_first_two_disagree(monkeypatch, agree):
+    starts = (Start(29), Start(21), Start(25, quarter_turns=1), Start(31))
+    motions = {s.size: Trajectory.straight(9.0, angle_rad=0.3 if agree or s.size == 29 else 1.9) for s in starts}
+    run = []
+
+    def found(_self, _crops, start):
+        run.append(start)
+        return motions[start.size].psf(start.size)
+
+    monkeypatch.setattr(PmpEstimator, "_run", found)
+    told = []
+    kernels = PmpEstimator(starts=starts, progress=told.append).kernels(np.zeros((1, 64, 64)))
+    expected = starts[:2] if agree else starts
+    assert sorted(start.size for start in run) == sorted(start.size for start in expected)
+    assert [len(kernel) for kernel in kernels] == [start.size for start in expected]
+    assert told == pytest.approx([0.2, 0.4, 0.6, 0.8][: len(expected)])
+
+
 @pytest.mark.parametrize(
     ("photo", "words"),
     [
@@ -117,6 +137,26 @@ def test_unusable_options_are_refused():
         PmpEstimator(starts=())
     with pytest.raises(ValueError, match="crops"):
         PmpEstimator(crops=0)
+
+
+@pytest.mark.parametrize("fine", [(), (3e-3, 1e-3)])
+def test_each_scale_has_its_alternations_and_the_refinement_closes_where_all_gradients_count(monkeypatch, fine):
+    """Thirteen px: scales of 7, 11 and 13 px."""
+    seen, refined = [], []
+
+    def latent(wrapped, kernel, *, intensity_weight, **_):
+        seen.append((kernel.shape[-1], intensity_weight > 0))
+        return l0_pmp_latent(wrapped, kernel, intensity_weight=intensity_weight, **_)
+
+    monkeypatch.setattr(blind, "l0_pmp_latent", latent)
+    monkeypatch.setattr(blind, "refine_kernel", lambda _photos, kernel, *, sigma: refined.append(sigma) or kernel)
+    settings = PmpSettings(iterations=3, last_iterations=2, fine_weights=fine, sigma=0.01)
+    light = torch.from_numpy(dead_leaves(60, 0).astype(np.float32))[None, None]
+    kernel = estimate_kernels(light, size=13, settings=settings)
+    on_the_way = [True] * 3 + [False] * len(fine)
+    assert seen == [(side, salient) for side in (7, 11) for salient in on_the_way] + [(13, True)] * 2
+    assert refined == ([0.01] if fine else [])
+    assert kernel.shape == (1, 13, 13)
 
 
 def test_looking_at_all_gradients_at_each_scale_brings_the_search_nearer():

@@ -119,7 +119,9 @@ def test_kernel_fit_finds_the_kernel_between_sharp_and_blurred_gradients(scene):
     sharp = scene[12:-12, 12:-12]
     pairs = [latent.salient_gradients(tensor(image)[None], torch.zeros(1)) for image in (sharp, blurred)]
     with_crops = [tuple(g[None] for g in pair) for pair in pairs]
-    fitted = kernel.fit_kernel(*with_crops, size=25, ridge=1e-3, smoothness=0.0, sparsity=0.0, keep_share=0.0)
+    fitted = kernel.fit_kernel(
+        *with_crops, size=25, ridge=1e-3, smoothness=0.0, sparsity=0.0, rounds=(25, 50), keep_share=0.0
+    )
     overlap = (fitted[0].numpy() * psf).sum() / np.linalg.norm(fitted[0]) / np.linalg.norm(psf)
     assert overlap > 0.99
 
@@ -152,7 +154,14 @@ def test_kernel_fit_solves_the_non_negative_least_squares_it_states():
     # what the frame cuts off at its edges is data that the periodic oracle has and a real photo has not: compare inside
     blurred_pair = tuple(tensor(b)[None, None] for b in blurred)
     fitted = kernel.fit_kernel(
-        latent_pair, blurred_pair, size=side, ridge=ridge, smoothness=smoothness, sparsity=0.0, keep_share=0.0
+        latent_pair,
+        blurred_pair,
+        size=side,
+        ridge=ridge,
+        smoothness=smoothness,
+        sparsity=0.0,
+        rounds=(25, 50),
+        keep_share=0.0,
     )[0].numpy()
     expected = expected.reshape(side, side) / expected.sum()
     assert np.abs(fitted - expected).max() < 0.1 * expected.max()
@@ -165,6 +174,14 @@ def test_salient_gradients_keep_what_reaches_the_threshold_and_never_nothing(sce
     assert float(strength[strength > 0].min()) >= 0.01
     gx, gy = latent.salient_gradients(photo, torch.tensor([1e6]))
     assert int(((gx != 0) | (gy != 0)).sum()) > 0
+
+
+def test_couplings_grow_from_the_gradient_weight_to_their_end():
+    steps = list(latent.Coupling(start=16.0, end=100.0, growth=1.5).steps(0.2))
+    assert steps == pytest.approx([3.2 * 1.5**i for i in range(9)])
+    assert 3.2 * 1.5**8 < 100 < 3.2 * 1.5**9
+    assert list(latent.Coupling().steps(1.0)) == pytest.approx([2.0 ** (i + 1) for i in range(16)])
+    assert list(latent.Coupling(start=16.0, end=100.0).steps(10.0)) == []
 
 
 def test_latent_of_a_point_kernel_is_the_photo_where_every_edge_is_strong():
@@ -225,3 +242,26 @@ def test_spectrum_and_phase_tell_the_kernel_from_lost_ones(scene):
     assert right == pytest.approx(spectral_fit(photo, psf[::-1, ::-1], sigma=0.005), abs=1e-9)  # no phase in it
     assert phase_evidence(photo, psf, sigma=0.005) > 0.02
     assert phase_evidence(photo, psf[::-1, ::-1], sigma=0.005) < -0.02
+
+
+@pytest.mark.parametrize(("contrast", "level"), [(1.0, 0.0), (1e-6, 0.9)])
+def test_evidence_in_single_precision_is_that_in_double(scene, contrast, level):
+    """The formulas in double precision, for a plain photo and for one whose contrast single precision hardly holds."""
+    psf = curved(25)
+    photo = contrast * (blur_valid(scene, psf) + np.random.default_rng(9).normal(0, 0.005, (176, 176))) + level
+    sigma = 0.005 * contrast
+    energy = np.mean(np.diff(photo, axis=0) ** 2) + np.mean(np.diff(photo, axis=1) ** 2)
+    padded = np.pad(photo - photo.mean(), 32, mode="symmetric")
+    radius2 = np.fft.fftfreq(240)[:, None] ** 2 + np.fft.rfftfreq(240)[None, :] ** 2
+    penalty = 40 * max(sigma, 2e-3) ** 2 / max(energy - 4 * sigma**2, 1e-6) * radius2 + 1e-12
+    frame = np.zeros((240, 240))
+    frame[:25, :25] = psf
+    transfer = np.fft.rfft2(np.roll(frame, (-12, -12), axis=(0, 1)))
+    sparsities = []
+    for response in (transfer, transfer.conj()):
+        restored = np.fft.irfft2(np.fft.rfft2(padded) * response.conj() / (np.abs(transfer) ** 2 + penalty))
+        inner = restored[40:-40, 40:-40]
+        energies = np.concatenate([np.diff(inner, axis=axis).ravel() ** 2 for axis in (0, 1)])
+        sparsities.append(np.mean(energies**0.4) / np.mean(energies) ** 0.4)  # 0.8-norm over 2-norm
+    expected = np.log(sparsities[1] / sparsities[0])
+    assert phase_evidence(photo, psf, sigma=sigma) == pytest.approx(expected, abs=2e-6)

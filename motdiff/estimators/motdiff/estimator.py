@@ -17,7 +17,7 @@ from motdiff.estimators.judge import Judge, noise_sigma
 from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
 from motdiff.estimators.motdiff.judgement import features, probabilities
 from motdiff.estimators.pmp import PmpEstimator
-from motdiff.estimators.pmp.estimator import STARTS, refined
+from motdiff.estimators.pmp.estimator import refined
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.parallel import side_by_side
 from motdiff.weights import load_network
@@ -29,15 +29,16 @@ FloatArray = NDArray[np.float64]
 _REFINED = 3
 _SAME_MNC = 0.95
 _DUST = 0.02  # of the peak: a network's doubt off the path, never quite 0, is no light
-# of the full search's starts, those that stand for the quick ones the network was trained with
-_TOLD = tuple(sorted((i for i, s in enumerate(STARTS) if s.quarter_turns == 0), key=lambda i: STARTS[i].size))
+# of the full search's starts, those that stand for the quick ones the network was trained with; the first two agreeing,
+# the larger one stands for the one not run as well
+_TOLD_OF_ALL, _TOLD_OF_TWO = (2, 0, 1), (1, 0, 1)
 
 
 class MotDiffEstimator:
     """Blind estimator with the conditional diffusion model MoTDiff.
 
-    Classical searches give kernels; the network, told of three of them, draws several motions; the photo judges all
-    (see :mod:`motdiff.estimators.judge`), and the most likely ones are refined on it at full resolution. So a
+    Classical searches give kernels; the network, told of up to three of them, draws several motions; the photo judges
+    all (see :mod:`motdiff.estimators.judge`), and the most likely ones are refined on it at full resolution. So a
     classical kernel is the result wherever the photo believes it more.
 
     Parameters
@@ -51,9 +52,9 @@ class MotDiffEstimator:
         way: draws are alike (MNC 0.98), and those beyond the eighth add next to nothing (0.99).
     thorough : bool
         Whether the classical searches are the full ones of :class:`motdiff.estimators.pmp.PmpEstimator`, or shortened
-        ones, in a third of the time.
+        ones, in half the time.
     refine : bool
-        Whether kernels are refined on the photo.
+        Whether the likeliest kernels, drawn or searched, are refined on the photo at the end.
     seed : int
         Of the draws.
     crops : int
@@ -146,7 +147,7 @@ class MotDiffEstimator:
         for frame, kernel in zip(framed, found, strict=True):
             low = GRID_PX // 2 - len(kernel) // 2
             frame[low : low + len(kernel), low : low + len(kernel)] = kernel
-        return framed, framed[list(_TOLD)]
+        return framed, framed[list(_TOLD_OF_ALL if len(found) > 2 else _TOLD_OF_TWO)]
 
 
 def _in_odd_frames(psfs: FloatArray) -> list[FloatArray]:

@@ -24,7 +24,8 @@ _FINE_SPARSITY = 0.5
 _FINE_GRADIENT_FLOOR = 2e-4
 _FINE_GRADIENT_PER_VARIANCE = 2.5
 _COUPLING = Coupling(start=16.0, end=100.0, growth=1.5)
-_ROUNDS, _FINE_ROUNDS = (6, 15), (25, 50)  # descent steps of kernels on the way, and of the last
+_FINE_COUPLING = Coupling(end=100.0)  # slower growth, as in the search, loses 0.02 on real photos
+_ROUNDS, _FINE_ROUNDS = (6, 15), (25, 50)  # descent steps of the search's kernels and of the refinement's
 _REFINEMENTS = 3
 _SHRUNK_NOISE = 0.45  # share of the noise assumed in a shrunk photo: 0.4 and less remains, but assuming that loses 0.01
 
@@ -46,12 +47,13 @@ class PmpSettings:
     patch_share : float
         Side of the minimal-pixel patches as a share of the photo's mean side.
     coupling : Coupling
-        Of the half-quadratic splitting. Fast growth loses kernels, a late end only takes time.
+        Of the half-quadratic splitting, but for the refinement's. Fast growth loses kernels; a late end only takes
+        time.
     keep_share : float
-        Values below this share of the final kernel's peak are dropped.
+        Values below this share of the peak are dropped at full size, before the refinement.
     fine_weights : tuple of float
         Weights of the gradient count of as many closing alternations at each scale, which look at all gradients:
-        salient edges alone lead away even from the truth. At full size it is :func:`refine_kernel`; with none, nothing.
+        salient edges alone lead away even from the truth. With any, :func:`refine_kernel` closes the full size.
     sigma : float
         Standard deviation of the photo's noise.
     """
@@ -185,7 +187,7 @@ def refine_kernel(photos: Tensor, kernel: Tensor, *, sigma: float) -> Tensor:
             kernel,
             gradient_weight=_FINE_GRADIENT_FLOOR,
             sigma=sigma,
-            coupling=Coupling(),  # slower growth, as in the search, loses 0.02 on real photos
+            coupling=_FINE_COUPLING,
             rounds=_FINE_ROUNDS,
         )
     return kernel

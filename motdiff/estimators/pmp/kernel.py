@@ -24,8 +24,8 @@ def fit_kernel(
     ridge: float,
     smoothness: float,
     sparsity: float,
+    rounds: tuple[int, int],
     keep_share: float = 0.05,
-    rounds: tuple[int, int] = (25, 50),
 ) -> Tensor:
     r"""Kernel (B, size, size) that turns latent gradients into blurred ones: a sparse non-negative least squares.
 
@@ -44,10 +44,10 @@ def fit_kernel(
         Weights of the kernel's squared values and of its squared differences.
     sparsity : float
         Weight of its sum, in standard deviations of the noise.
-    keep_share : float
-        Values below this share of the peak are dropped.
     rounds : (int, int)
         Steps of the descent in the first fit, which measures the residual, and in the second.
+    keep_share : float
+        Values below this share of the peak are dropped.
 
     References
     ----------

@@ -1,0 +1,53 @@
+"""Whether a path's order can be believed: crossings counted, plain curves not taken for tangles."""
+
+import numpy as np
+import pytest
+
+from motdiff.tracing import is_tangled
+from motdiff.tracing.order import crossings
+from motdiff.trajectory import Trajectory
+
+T = np.linspace(0, 1, 400)
+
+
+def lissajous(across, down, phase=0.3, size=12.0):
+    """``2 a d - a - d`` crossings for coprime frequencies and a phase in general position."""
+    t = 2 * np.pi * T
+    return Trajectory.from_samples(size * np.c_[np.sin(across * t + phase), np.sin(down * t)])
+
+
+def circle(turns, growth=0.0):
+    radius, angle = 9 * (1 + growth * T), 2 * np.pi * turns * T
+    return Trajectory.from_samples(np.c_[radius * np.cos(angle), radius * np.sin(angle)])
+
+
+@pytest.mark.parametrize(("across", "down"), [(1, 2), (2, 3), (3, 4), (3, 5)])
+def test_crossings_of_lissajous_figures(across, down):
+    assert crossings(lissajous(across, down), step_px=0.2) == 2 * across * down - across - down
+
+
+def test_plain_curves_do_not_cross_themselves():
+    plain = [circle(0.95), circle(1.3, growth=0.5), Trajectory.straight(20.0, angle_rad=0.4)]
+    plain += [Trajectory.from_samples(np.c_[20 * T, 6 * np.sin(6 * T)])]
+    assert [crossings(path) for path in plain] == [0] * 4
+    assert [
+        crossings(Trajectory.from_samples(np.c_[x, y])) for x, y in [([0, 5, 0], [0, 0, 0]), ([0, 0.01], [0, 0])]
+    ] == [0, 0]
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_crossings_stay_under_turns_and_reversal(turn):
+    path = lissajous(2, 3)
+    way = np.exp(1j * turn) * (path.xy @ np.array([1, 1j]))
+    turned = Trajectory.from_samples(np.c_[way.real, way.imag][::-1])
+    assert crossings(turned) == crossings(path) == 7
+
+
+def test_tangled_is_long_and_crossing_and_nothing_less():
+    assert is_tangled(lissajous(3, 4))
+    assert not is_tangled(circle(1.3, growth=0.5))  # 3.4 times its extent, but no strand meets another
+    assert circle(1.3, growth=0.5).length_px > 3 * circle(1.3, growth=0.5).extent_px
+    zigzag = np.c_[np.r_[0, 30, 25, 25, 20, 20, 15, 15, 10, 10], np.r_[0, 0, 1, -1, -1, 1, 1, -1, -1, 1]].astype(float)
+    crossing = Trajectory.from_samples(zigzag)
+    assert crossings(crossing) >= 4
+    assert not is_tangled(crossing)  # crossed often, but short
