@@ -32,12 +32,15 @@ class Branch:
         Drawn pixels beyond those of a single line of usual width: the mark of strands side by side.
     optional : bool
         True for a guess across a gap: a trail may use it but need not.
+    worth : float, 0..1
+        What a pixel of it counts where a trail leaves it out: little for a faint line among bright ones.
     """
 
     points: FloatArray
     ends: tuple[int, int]
     extra_px: float = 0.0
     optional: bool = False
+    worth: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
@@ -25,6 +27,7 @@ _WEAK_PART, _STRONG_PART = 0.015, 0.08  # hysteresis, as parts of the strongest 
 _LOCAL_PART, _LOCAL_PX = 0.1, 1.5  # fainter crests so near a strong one are its side lobes
 _PSF_GAP_PX = 14.0  # fine pixels: fast stretches sink into noise
 _DUST_PART = 0.04  # parts with less ridge than this part of the largest are dust
+_CREST_PX = 0.6  # a Gaussian this wide measures a line's light
 _STAIR_PX = 1.0  # map pixels: a Gaussian this wide takes the pixel stairs off a traced line
 
 
@@ -76,7 +79,7 @@ def trace_psf(psf: ArrayLike) -> FloatArray:
     light = checked_psf(psf)
     drawn, spur_px = _ridges(light)
     centre = _MAP_PITCH * np.array([light.shape[1] // 2, light.shape[0] // 2]) + _MAP_PITCH * _MARGIN_PX
-    return _traced(branch_graph(drawn, gap_px=_PSF_GAP_PX, spur_px=spur_px), centre)
+    return _traced(_with_worth(branch_graph(drawn, gap_px=_PSF_GAP_PX, spur_px=spur_px), light), centre)
 
 
 def trace_psf_to_trajectory(psf: ArrayLike) -> Trajectory:
@@ -120,6 +123,20 @@ def _ridges(light: FloatArray) -> tuple[BoolArray, float]:
     kept = (mass >= _DUST_PART * mass[1:].max()) & (ndimage.maximum(ridge, labels, numbers) >= min(strong, ridge.max()))
     kept[0] = False
     return np.asarray(kept[labels], dtype=bool), spur_px
+
+
+def _with_worth(graph: BranchGraph, light: FloatArray) -> BranchGraph:
+    """Let a line count by the square of its light over the median line's, and 1 at most: faint ones may be noise."""
+    if not graph.branches:
+        return graph
+    soft = ndimage.gaussian_filter(np.pad(light, _MARGIN_PX), _CREST_PX)
+    crests = [
+        ndimage.map_coordinates(soft, branch.points[:, ::-1].T / _MAP_PITCH, order=1) for branch in graph.branches
+    ]
+    median = float(np.median(np.concatenate(crests)))
+    shares = [min(1.0, float(crest.mean()) / median) for crest in crests]
+    branches = [replace(branch, worth=share**2) for branch, share in zip(graph.branches, shares, strict=True)]
+    return replace(graph, branches=tuple(branches))
 
 
 def _traced(graph: BranchGraph, centre: float | FloatArray) -> FloatArray:

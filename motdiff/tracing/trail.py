@@ -42,7 +42,7 @@ class _Line:
 
 class _Walk(NamedTuple):  # made by the ten thousand
     cost: float
-    left_px: float  # line not covered yet
+    left_px: float  # line not covered yet, each pixel by its worth
     passes: int  # two bits per branch
     recent: tuple[int, ...]  # directed branches that still influence the next turn
     before: _Walk | None
@@ -75,8 +75,9 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
     for i, line in enumerate(lines):
         leaving.setdefault(line.start, []).append(i)
     optional = [branch.optional for branch in graph.branches]
+    worth = [branch.worth for branch in graph.branches]
     extra = [_EXTRA_WEIGHT * branch.extra_px for branch in graph.branches]
-    total = sum(line.length + extra[i] for i, line in enumerate(lines[::2]) if not optional[i])
+    total = sum(worth[i] * (line.length + extra[i]) for i, line in enumerate(lines[::2]) if not optional[i])
     turns: dict[tuple[tuple[int, ...], int], tuple[float, tuple[int, ...]]] = {}  # cost, and what is recent after it
 
     def extend(walk: _Walk, i: int) -> _Walk | None:
@@ -93,9 +94,9 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
             cost += _GAP_COST * line.length
         elif passes:
             cost += _REPEAT_COST * line.length + line.own_cost
-            left -= extra[branch] if passes == 1 else 0.0
+            left -= worth[branch] * extra[branch] if passes == 1 else 0.0
         else:
-            left -= line.length
+            left -= worth[branch] * line.length
         return _Walk(cost, left, walk.passes + (1 << 2 * branch), turn[1], walk, i)
 
     buried = {node: _BURIED_END_COST if len(near) > 1 else 0.0 for node, near in leaving.items()}

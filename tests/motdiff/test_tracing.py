@@ -280,3 +280,12 @@ def test_ordered_distance_is_zero_for_a_path_and_its_reverse_and_sees_a_loop_run
         ordered_distance_px(legs, [[1, 2, 3]])
     with pytest.raises(ValueError, match=r"^step_px"):
         ordered_distance_px(legs, legs, step_px=0)
+
+
+@pytest.mark.parametrize(("share", "covered"), [(0.2, False), (1.0, True)])
+def test_a_faint_line_across_is_left_out_and_a_bright_one_is_walked(share, covered):
+    """What has a fifth of the light per pixel in a blind kernel is more likely noise than motion."""
+    along, across = (Trajectory.straight(length, angle_rad=angle) for length, angle in ((24.0, 0.0), (8.0, np.pi / 2)))
+    path = Trajectory.from_samples(trace_psf(along.psf(41) + share * across.psf(41) * 8 / 24))
+    assert (np.ptp(path.xy[:, 1]) > 6) == covered
+    assert path.length_px > 24 + 2 * 8 if covered else path.length_px == pytest.approx(25, abs=3)
