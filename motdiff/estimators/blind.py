@@ -14,6 +14,7 @@ from motdiff.crops import luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.uneven import uneven_blur_warning
 from motdiff.metrics import mnc_subpixel
+from motdiff.parallel import one_thread_a_call
 from motdiff.tracing import is_tangled, simplest_trajectory
 from motdiff.trajectory import Trajectory
 
@@ -83,6 +84,7 @@ class KernelSearch(Protocol):
         ...
 
 
+@one_thread_a_call()
 def estimate_blind(photo: ArrayLike, search: KernelSearch, *, method: str, most_crops: int) -> MotionEstimate:
     """Estimate the motion from a blurred ``photo``.
 

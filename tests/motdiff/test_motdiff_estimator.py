@@ -18,6 +18,7 @@ from motdiff.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.grids import mirrored
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network import NetworkConfig
+from motdiff.parallel import one_thread
 from motdiff.sampling import psfs_of_maps
 from motdiff.simulate import blur_valid
 from motdiff.training.config import DataConfig, TrainingConfig
@@ -39,12 +40,11 @@ TINY = {
 }
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+@pytest.fixture(autouse=True)
+def in_order():
+    """One job after the other: the networks below note what they are asked."""
+    with one_thread():
+        yield
 
 
 def bent():
@@ -87,7 +87,7 @@ class Oracle:
     def __init__(self, motion, *, logit=40.0, dwell=None):
         self.logit, self.dwell = logit, dwell
         self.maps = [torch.from_numpy(turned(motion, symmetry).hr_map()).float() for symmetry in range(8)]
-        self.photos, self.steps, self.turns = [], [], []
+        self.photos, self.steps = [], []
 
     def condition(self, photo, physics):
         assert physics is None
@@ -96,9 +96,9 @@ class Oracle:
         return torch.full((1, 1, 64, 64), float(alike[0] if alike else 0))
 
     def denoise(self, x_t, t, condition):
-        self.steps.append((int(t[0]), len(x_t)))
-        self.turns = [int(symmetry) for symmetry in condition[:, 0, 0, 0]]
-        logits = self.logit * (2 * torch.stack([self.maps[turn] for turn in self.turns])[:, None] - 1)
+        (symmetry,) = {int(symmetry) for symmetry in condition[:, 0, 0, 0]}
+        self.steps.append((symmetry, int(t[0]), len(x_t)))
+        logits = self.logit * (2 * self.maps[symmetry].expand(len(x_t), 1, 256, 256) - 1)
         if self.dwell is None:
             return logits
         return torch.cat([logits, torch.log(torch.expm1(self.dwell)).expand_as(logits)], dim=1)  # softplus undoes it
@@ -168,8 +168,7 @@ def test_every_turn_of_the_photo_is_undone():
     psfs = drawn_by(oracle, photo_of(bent(), 90, 110)[None], count=11, steps=3)
     assert len(oracle.photos) == 8  # once for each symmetry
     assert len({photo.numpy().tobytes() for photo in oracle.photos}) == 8
-    assert oracle.steps == [(999, 11), (666, 11), (332, 11)]
-    assert oracle.turns == [*range(8), 0, 1, 2]
+    assert oracle.steps == [(s, t, 2 if s < 3 else 1) for s in range(8) for t in (999, 666, 332)]
     expected = psfs_of_maps(torch.from_numpy(bent().hr_map()).double()).numpy()
     assert psfs.shape == (11, 64, 64)
     np.testing.assert_allclose(psfs, np.broadcast_to(expected, (11, 64, 64)), atol=1e-6)
@@ -264,7 +263,7 @@ def shaken():
 def test_an_oracle_s_motion_is_found(monkeypatch, no_search, shaken, refine):
     oracle, options = Oracle(STRAIGHT), {"thorough": False, "refine": refine, "steps": 4}
     estimate = estimator_with(monkeypatch, oracle, **options).estimate(shaken)
-    assert [draws for _, draws in oracle.steps] == [8] * 4
+    assert [(symmetry, draws) for symmetry, _, draws in oracle.steps] == [(s, 1) for s in range(8) for _ in range(4)]
     truth = STRAIGHT.psf(64)
     assert mnc_subpixel(estimate.psf, truth) > 0.98
     assert mnc_subpixel(estimate.trajectories[0].psf(), truth) > 0.95
@@ -579,7 +578,7 @@ def test_the_network_alone_is_one_draw_as_it_is(oracle_weights, no_search):
     estimate = NetworkAlone(steps=3).estimate(photo)
     assert len(oracle_weights.photos) == 1
     assert no_search == []  # it takes no physics maps
-    assert oracle_weights.steps == [(999, 1), (666, 1), (332, 1)]
+    assert oracle_weights.steps == [(0, 999, 1), (0, 666, 1), (0, 332, 1)]
     np.testing.assert_allclose(estimate.psf, psfs_of_maps(torch.from_numpy(bent().hr_map()).double()), atol=1e-6)
     assert mnc_subpixel(estimate.trajectories[0].psf(), bent().psf(64)) > 0.85
     assert (estimate.method, estimate.weights, estimate.warnings) == ("network", (1.0,), ())

@@ -7,11 +7,13 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from motdiff import parallel
-from motdiff.parallel import one_thread, side_by_side
+from motdiff.parallel import one_thread, one_thread_a_call, side_by_side
 
 
 @pytest.fixture(autouse=True)
@@ -158,3 +160,29 @@ def test_a_stop_between_two_jobs_ends_the_run(monkeypatch):
         side_by_side([lambda: started.append(time.sleep(0.02))] * 100, tell=stop)
     assert 1 <= len(started) < 100
     assert torch.get_num_threads() == 3
+
+
+@pytest.mark.parametrize("kept", [one_thread, one_thread_a_call])
+def test_torch_and_blas_have_one_thread_while_it_lasts(kept):
+    def threads():
+        return {
+            torch.get_num_threads(),
+            *(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"),
+        }
+
+    def failing():
+        with kept():
+            assert threads() == {1}
+            raise ValueError("no kernel")
+
+    with threadpool_limits(3, user_api="blas"):
+        assert np.linalg.norm(np.eye(3)) > 1  # so that a BLAS is loaded
+        with pytest.raises(ValueError, match="no kernel"):
+            failing()
+        assert threads() == {3}
+
+
+def test_jobs_still_run_side_by_side_where_each_call_has_one_thread(monkeypatch):
+    cores(monkeypatch, 2)
+    with one_thread_a_call():
+        assert most_at_a_time(4, 2) == 2

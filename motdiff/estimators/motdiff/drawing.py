@@ -22,6 +22,7 @@ __all__ = ["draw_psfs", "searched_quickly"]
 FloatArray = NDArray[np.float64]
 
 _PHOTO_PX = 256
+_SYMMETRIES = 8  # of the square
 
 
 def draw_psfs(
@@ -53,25 +54,50 @@ def draw_psfs(
     """
     light = torch.from_numpy(crops.astype(np.float32))[None]
     physics: Tensor | None = None
-    with torch.no_grad():
-        if network.physics is not None:
-            physics = physics_maps(light, torch.from_numpy(told.astype(np.float32))[None])
-        photo = None if network.photo is None else _photo(light)
-        conditions = [
-            network.condition(
-                None if photo is None else mirrored(photo, s, pitch=0),
-                None if physics is None else mirrored(physics, s, pitch=1),
-            )
-            for s in range(min(8, count))
-        ]
-        turns = [i % 8 for i in range(count)]
-        condition = torch.cat([conditions[s] for s in turns])
-        drawn = sample_paths(
-            network, condition, count=1, schedule=cosine_schedule(), steps=steps, generator=generator, method=method
+    if network.physics is not None:
+        physics = physics_maps(light, torch.from_numpy(told.astype(np.float32))[None])
+    photo = None if network.photo is None else _photo(light)
+    turns = range(min(_SYMMETRIES, count))
+    seeds = torch.randint(2**62, (len(turns),), generator=generator).tolist()
+    jobs = [
+        partial(
+            _drawn,
+            network,
+            photo,
+            physics,
+            symmetry=s,
+            count=len(range(s, count, _SYMMETRIES)),
+            steps=steps,
+            generator=torch.Generator().manual_seed(seed),
+            method=method,
         )
-        turned = drawn.psfs()  # (K, 1, 64, 64)
-        psfs = [mirrored(turned[i : i + 1], inverse_symmetry(s), pitch=1)[0, 0] for i, s in enumerate(turns)]
-    return np.asarray(torch.stack(psfs).double().numpy(), dtype=np.float64)
+        for s, seed in zip(turns, seeds, strict=True)
+    ]
+    psfs = side_by_side(jobs)
+    drawn = torch.stack([psfs[i % _SYMMETRIES][i // _SYMMETRIES] for i in range(count)])
+    return np.asarray(drawn.double().numpy(), dtype=np.float64)
+
+
+def _drawn(
+    network: MotDiffNetwork,
+    photo: Tensor | None,
+    physics: Tensor | None,
+    *,
+    symmetry: int,
+    count: int,
+    steps: int,
+    generator: torch.Generator,
+    method: str,
+) -> Tensor:
+    """PSFs (count, 64, 64) drawn from the photo turned or mirrored one way, turned back."""
+    condition = network.condition(
+        None if photo is None else mirrored(photo, symmetry, pitch=0),
+        None if physics is None else mirrored(physics, symmetry, pitch=1),
+    )
+    paths = sample_paths(
+        network, condition, count=count, schedule=cosine_schedule(), steps=steps, generator=generator, method=method
+    )
+    return mirrored(paths.psfs(), inverse_symmetry(symmetry), pitch=1)[0]
 
 
 def searched_quickly(crops: FloatArray, *, sigma: float) -> FloatArray:
