@@ -78,8 +78,8 @@ def budget_warning(methods: Iterable[str]) -> str | None:
     if not (small := [f"{name} {samples:,}" for name, samples in SMALL_BUDGETS.items() if name in names]):
         return None
     return (
-        f"smaller training budgets than MoTDiff's 62,400 samples drawn from 5,632 prepared ones: {' and '.join(small)} "
-        "from 704, after a start from its condition network"
+        f"smaller training budgets than MoTDiff's 142,400 samples drawn from 9,600 prepared ones: "
+        f"{' and '.join(small)} from 704, after a start from its condition network"
     )
 
 
