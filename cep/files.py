@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -166,8 +167,10 @@ def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple
     kernel = np.asarray(psf, dtype=np.float32)
     paths = tuple(Path(folder) / f"{stem}{suffix}" for suffix in PSF_SUFFIXES)
     grey = np.rint(255 * kernel / max(float(kernel.max()), float(np.finfo(np.float32).tiny))).astype(np.uint8)
-    with new_file(paths[0]) as temporary, temporary.open("wb") as stream:
-        np.save(stream, kernel)
+    stored = BytesIO()
+    np.save(stored, kernel)  # to a file it would not say why a disk took no more
+    with new_file(paths[0]) as temporary:
+        temporary.write_bytes(stored.getvalue())
     with new_file(paths[1]) as temporary, temporary.open("wb") as stream:
         savemat(stream, {"psf": kernel.astype(np.float64)})
     with new_file(paths[2]) as temporary:

@@ -133,3 +133,16 @@ def test_broken_psf_files(tmp_path):
     savemat(tmp_path / "other.mat", {"kernel": np.eye(3)})
     with pytest.raises(ValueError, match=r'wanted a variable "psf", found kernel'):
         read_psf(tmp_path / "other.mat")
+
+
+def test_a_psf_that_the_disk_does_not_take_whole_says_why_and_leaves_nothing(tmp_path):
+    """Files of more than a kilobyte are refused: the nearest to a full disk."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1024, before[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            write_psf(tmp_path, np.eye(40))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list(tmp_path.iterdir())
