@@ -133,7 +133,7 @@ def _with_worth(graph: BranchGraph, light: FloatArray) -> BranchGraph:
     crests = [
         ndimage.map_coordinates(soft, branch.points[:, ::-1].T / _MAP_PITCH, order=1) for branch in graph.branches
     ]
-    median = float(np.median(np.concatenate(crests)))
+    median = max(float(np.median(np.concatenate(crests))), np.finfo(float).tiny)  # bridges over gaps are dark
     shares = [min(1.0, float(crest.mean()) / median) for crest in crests]
     branches = [replace(branch, worth=share**2) for branch, share in zip(graph.branches, shares, strict=True)]
     return replace(graph, branches=tuple(branches))
