@@ -368,14 +368,16 @@ def test_methods_are_checked_before_the_work(monkeypatch, tmp_path):
 
 
 def test_smaller_budgets_are_told_as_the_weights_say():
-    """Samples are updates times the batch, in the header of the weights."""
+    """Samples are updates times the batch, in the header of the weights; MoTDiff's are those of two runs, on its card."""
     for method, path in (("parametric", PATH_WEIGHTS), ("psf-diffusion", PSF_WEIGHTS)):
         card = read_card(path)
         samples = card["run"]["steps"] * card["config"]["optimiser"]["batch"]
         assert samples == SMALL_BUDGETS[method]
         assert f"{method} {samples:,} from 704" in budget_warning(["pmp", f"{method}"])
     card = read_card(DEFAULT_WEIGHTS)
-    assert f"{card['run']['steps'] * card['config']['optimiser']['batch']:,}" in budget_warning(["psf-diffusion:4"])
+    told = card["card"]["samples"]
+    assert f"{card['run']['steps'] * card['config']['optimiser']['batch']:,}" in told
+    assert f"MoTDiff's {told.split()[0]} samples" in budget_warning(["psf-diffusion:4"])
     assert budget_warning(["pmp", "motdiff", "delta"]) is None
 
 

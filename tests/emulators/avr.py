@@ -129,7 +129,7 @@ def played(uno: Uno, controller: Controller, stored: Stored) -> Play:
     assert unpack_stored(controller.link.request(Op.READ)) == stored, "read-back differs"
     before = controller.status()
     with one_play(uno) as plays:
-        controller.arm()
+        controller.arm(lease_ms=0xFFFF)  # a simulator may be far quicker than the clock, and this process be held up
         controller.trigger()
         status = controller.wait(timeout_s=30)
     assert (status.state, status.pos) == (State.DONE, len(stored.bits)), "play did not end"
