@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar, copy_context
+from threading import Lock
 from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -16,6 +17,7 @@ __all__ = ["one_thread", "one_thread_a_call", "side_by_side"]
 _Result = TypeVar("_Result")
 
 _ALONE = ContextVar("_ALONE", default=False)  # torch's own count says nothing: small arrays want 1 everywhere
+_WITHIN = ContextVar("_WITHIN", default=False)
 
 
 @contextmanager
@@ -25,16 +27,54 @@ def one_thread_a_call() -> Iterator[None]:
     Threads on small arrays wait more than they work, and where the machine has other work they wait for a core each
     time: a photo that took 2.5 s with one thread took 14 s and 24 CPU-s with four on four busy cores. What can go side
     by side goes through :func:`side_by_side`. Torch's sums may depend on the number of threads in their last bits.
+    Where several threads of a process are within it at once, the BLAS has one thread until the first of them leaves.
     """
-    import torch
-
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
+    if _WITHIN.get():
+        yield
+        return
+    token = _WITHIN.set(True)
     try:
-        with threadpool_limits(1, user_api="blas"):
+        with _THREADS.one_a_call():
             yield
     finally:
-        torch.set_num_threads(threads)
+        _WITHIN.reset(token)
+
+
+class _Threads:
+    """How many threads torch and the BLAS take: a setting of the process, which all its threads share."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._users = 0
+
+    @contextmanager
+    def one_a_call(self) -> Iterator[None]:
+        import torch
+
+        with self._lock:
+            first = not self._users
+            self._users += 1
+            if first:
+                self._before = torch.get_num_threads()
+        _one_thread_here()
+        try:
+            # only the first: a later one would find the first's limit, and leave it to the process for ever
+            with threadpool_limits(1, user_api="blas") if first else nullcontext():
+                yield
+        finally:
+            with self._lock:
+                self._users -= 1
+                torch.set_num_threads(self._before)
+
+
+_THREADS = _Threads()
+
+
+def _one_thread_here() -> None:
+    import torch
+
+    torch.get_num_threads()  # a thread that has not asked takes the process's count at its first call, not its own
+    torch.set_num_threads(1)
 
 
 @contextmanager
@@ -72,7 +112,7 @@ def side_by_side(
     results: list[_Result] = []
     try:
         workers = max(1, min(len(jobs), _cores()))
-        with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        with ThreadPoolExecutor(workers, initializer=_one_thread_here) as pool:
             # each with the context of here: a job that runs others side by side keeps to one thread as well
             runs = [pool.submit(copy_context().run, torch.no_grad()(job)) for job in jobs]
             try:

@@ -42,7 +42,7 @@ def calibrate(
         int | None,
         typer.Option("--samples", min=1, help="motdiff: motions to draw; 8 when omitted, more add next to nothing."),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="motdiff: in half the time, less exact.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="motdiff: in three quarters of the time, less exact.")] = False,
     gamma: Gamma = "srgb",
     workers: Workers = None,
     dask: Dask = None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -139,7 +140,7 @@ def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
     """
     other = _loaded(path, "cpu")
     mine, parts = network.state_dict(), other.state_dict()
-    if other.config != network.config:
+    if replace(other.config, dropout=network.config.dropout) != network.config:  # dropout has no weights
         parts = {name: tensor for name, tensor in parts.items() if _of_condition(name)}
         expected = {name: tensor.shape for name, tensor in mine.items() if _of_condition(name)}
         if {name: tensor.shape for name, tensor in parts.items()} != expected:

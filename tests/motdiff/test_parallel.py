@@ -180,6 +180,45 @@ def test_torch_and_blas_have_one_thread_while_it_lasts(kept):
         assert threads() == before
 
 
+@pytest.mark.parametrize("first_out", [0, 1])
+def test_two_threads_within_it_leave_the_process_what_it_had(first_out):
+    inside, leave = [threading.Event(), threading.Event()], [threading.Event(), threading.Event()]
+
+    def run(k):
+        with one_thread_a_call(), one_thread_a_call():
+            inside[k].set()
+            assert leave[k].wait(20)
+            return torch.get_num_threads()
+
+    before = blas_threads()
+    with ThreadPoolExecutor(2) as pool:
+        runs = []
+        for k in (0, 1):
+            runs.append(pool.submit(run, k))
+            assert inside[k].wait(20)
+        assert set(blas_threads()) == {1}
+        for k in (first_out, 1 - first_out):
+            leave[k].set()
+            assert runs[k].result(20) == 1
+        assert [pool.submit(torch.get_num_threads).result() for _ in range(4)] == [3] * 4
+    assert blas_threads() == before
+    with ThreadPoolExecutor(1) as fresh:
+        assert fresh.submit(torch.get_num_threads).result() == 3
+
+
+def test_within_itself_it_ends_with_the_outer_one():
+    with one_thread_a_call():
+        with one_thread_a_call():
+            pass
+        assert torch.get_num_threads() == 1
+        assert set(blas_threads()) == {1}
+    assert torch.get_num_threads() == 3
+
+
+def blas_threads():
+    return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+
 def test_jobs_still_run_side_by_side_where_each_call_has_one_thread(monkeypatch):
     cores(monkeypatch, 2)
     with one_thread_a_call():

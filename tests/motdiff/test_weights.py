@@ -124,10 +124,12 @@ def test_a_file_says_what_it_is(trained, exported):
     assert found["run"]["seconds"] == pytest.approx(trainer.seconds, abs=0.5)
 
 
-def test_a_run_of_the_same_network_goes_on_from_all_weights_without_their_offset(trained, tmp_path):
+@pytest.mark.parametrize("dropout", [TINY.dropout, 0.3])  # which has no weights
+def test_a_run_of_the_same_network_goes_on_from_all_weights_without_their_offset(trained, tmp_path, dropout):
     file = tmp_path / "w.safetensors"
     export_weights(trained[1], file, offset=1.5)
-    begun = Trainer(replace(trained[0].config, optimiser=OptimiserConfig(steps=2, batch=2, start=str(file))))
+    optimiser = OptimiserConfig(steps=2, batch=2, start=str(file))
+    begun = Trainer(replace(trained[0].config, network=replace(TINY, dropout=dropout), optimiser=optimiser))
     expected = trained[0].average.state_dict()
     for network in (begun.network, begun.average):
         for name, tensor in network.state_dict().items():

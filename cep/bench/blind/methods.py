@@ -79,7 +79,7 @@ def budget_warning(methods: Iterable[str]) -> str | None:
         return None
     return (
         f"smaller training budgets than MoTDiff's 142,400 samples drawn from 9,600 prepared ones: "
-        f"{' and '.join(small)} from 704, after a start from its condition network"
+        f"{' and '.join(small)} from 704, after a start from its condition network at 62,400"
     )
 
 

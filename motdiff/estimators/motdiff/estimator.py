@@ -52,7 +52,7 @@ class MotDiffEstimator:
         way: draws are alike (MNC 0.98), and those beyond the eighth add next to nothing (0.99).
     thorough : bool
         Whether the classical searches are the full ones of :class:`motdiff.estimators.pmp.PmpEstimator`, or shortened
-        ones, in half the time.
+        ones, in three quarters of the time.
     refine : bool
         Whether the likeliest kernels, drawn or searched, are refined on the photo at the end.
     seed : int
