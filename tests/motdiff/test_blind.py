@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+import torch
+from threadpoolctl import threadpool_info
 
 from motdiff.estimators.blind import Found, estimate_blind, without_faint_parts
 from motdiff.metrics import mnc_subpixel
@@ -49,6 +51,33 @@ def noise(*shape, seed=0):
 def found_in(photo, search=None, *, most_crops=3):
     search = search or FakeSearch()
     return estimate_blind(photo, search, method="fake", most_crops=most_crops), search
+
+
+# ---- threads
+
+
+def test_the_search_has_one_thread_a_call_and_the_process_its_own_afterwards(monkeypatch):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    seen = []
+
+    class Noting(FakeSearch):
+        def search(self, crops):
+            seen.append(threads())
+            return super().search(crops)
+
+    def threads():
+        return torch.get_num_threads(), {
+            pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"
+        }
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        found_in(noise(100, 100), Noting())
+        assert seen == [(1, {1})]
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)
 
 
 # ---- crops
@@ -264,6 +293,16 @@ def test_a_tangled_path_s_order_is_said_to_be_unknown_unless_the_whole_estimate_
     assert estimate.confidence == 0.98
     (lost,) = found_in(noise(100, 100), FakeSearch((tangle / tangle.sum(), 0.4)))[0].warnings
     assert lost.startswith("the blind estimate is probably lost")
+
+
+def test_a_spiral_is_long_within_its_extent_but_not_tangled():
+    t = np.linspace(0, 1, 400)
+    radius, angle = 9 * (1 + 0.5 * t), 2.6 * np.pi * t
+    spiral = Trajectory.from_samples(np.c_[radius * np.cos(angle), radius * np.sin(angle)])
+    estimate, _ = found_in(noise(100, 100), FakeSearch((spiral.psf(KERNEL_PX), 0.98)))
+    path = estimate.trajectories[0]
+    assert path.length_px > 3 * path.extent_px
+    assert estimate.warnings == ()
 
 
 def test_a_tangle_is_a_web_by_its_length_where_it_was_searched():

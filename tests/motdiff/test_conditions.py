@@ -171,6 +171,17 @@ def test_quick_kernels_find_a_straight_blur():
         assert abs((kernel.sum(axis=1) * lag).sum()) < 1
 
 
+def test_quick_kernels_end_each_scale_on_all_gradients_unless_told_otherwise():
+    """As training had them and use has them: other kernels than the network knows would mislead it."""
+    photos = torch.from_numpy(blur_valid(natural_noise(1, 110)[0].numpy(), curved(25))).float()[None, None]
+    usual, closed, open_ = (
+        quick_kernels(photos, starts=(QuickStart(15, 1.0),), **options)
+        for options in ({}, {"fine_weights": (1e-3, 3e-4)}, {"fine_weights": ()})
+    )
+    torch.testing.assert_close(usual, closed, rtol=0, atol=0)
+    assert (usual - open_).abs().max() > 1e-3
+
+
 def test_quick_kernels_of_a_flat_photo_are_still_kernels():
     kernels = quick_kernels(torch.full((1, 1, 64, 64), 1.0), starts=(QuickStart(15, 1.0), QuickStart(21, 1.0)))
     torch.testing.assert_close(kernels.sum(dim=(2, 3)), torch.ones(1, 2))

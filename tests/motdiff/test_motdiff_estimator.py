@@ -182,6 +182,27 @@ def test_draws_are_weighted_by_their_dwell():
     np.testing.assert_allclose(psfs[0], expected, atol=1e-6)
 
 
+class Noise(Oracle):
+    """Draws what it is given: the noise that each draw starts from."""
+
+    def denoise(self, x_t, t, condition):
+        return 10 * x_t
+
+
+@pytest.mark.parametrize("count", [1, 9, 17])
+def test_every_draw_starts_from_noise_of_its_own(count):
+    crops = photo_of(bent(), 90, 110)[None]
+    psfs = drawn_by(Noise(bent()), crops, count=count, steps=3)
+    seen = [mirrored(torch.from_numpy(psf)[None, None], i % 8, pitch=1)[0, 0, 1:, 1:] for i, psf in enumerate(psfs)]
+    alike = np.atleast_2d(np.corrcoef([psf.numpy().ravel() for psf in seen]))
+    assert np.abs(np.triu(alike, 1)).max() < 0.2
+    for other, alike in (
+        (drawn_by(Noise(bent()), crops, count=count, steps=3), True),
+        (drawn_by(Noise(bent()), crops, count=count, steps=3, seed=1), False),
+    ):
+        assert np.array_equal(other, psfs) == alike
+
+
 def test_one_draw_sees_the_photo_as_it_is():
     oracle = Oracle(bent())
     drawn_by(oracle, photo_of(bent(), 90, 110)[None])

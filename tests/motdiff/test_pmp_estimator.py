@@ -98,10 +98,13 @@ def test_progress_rises_to_one(shaken):
     assert seen[-1] == 1
 
 
-@pytest.mark.parametrize("agree", [True, False])
-def test_more_starts_are_run_only_where_the_first_two_disagree(monkeypatch, agree):
+@pytest.mark.parametrize(
+    ("length_px", "likeness", "agree"), [(9.0, 1.0, True), (11.1, 0.94, True), (11.6, 0.92, False), (17.0, 0.76, False)]
+)
+def test_more_starts_are_run_only_where_the_first_two_disagree(monkeypatch, length_px, likeness, agree):
     starts = (Start(29), Start(21), Start(25, quarter_turns=1), Start(31))
-    motions = {s.size: Trajectory.straight(9.0, angle_rad=0.3 if agree or s.size == 29 else 1.9) for s in starts}
+    motions = {s.size: Trajectory.straight(9.0 if s.size == 29 else length_px) for s in starts}
+    assert mnc_subpixel(motions[29].psf(29), motions[21].psf(21)) == pytest.approx(likeness, abs=0.007)
     run = []
 
     def found(_self, _crops, start):

@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
-from motdiff.tracing import fit_dwell, fit_dwell_to_photo, trace_map, trace_psf, trace_psf_to_trajectory
+from motdiff.tracing import fit_dwell, fit_dwell_to_photo, path, trace_map, trace_psf, trace_psf_to_trajectory
+from motdiff.tracing.graph import Branch, BranchGraph
+from motdiff.tracing.trail import smoothest_trail
 from motdiff.trajectory import Trajectory
 
 HR_PX = 0.25
@@ -289,3 +291,25 @@ def test_a_faint_line_across_is_left_out_and_a_bright_one_is_walked(share, cover
     path = Trajectory.from_samples(trace_psf(along.psf(41) + share * across.psf(41) * 8 / 24))
     assert (np.ptp(path.xy[:, 1]) > 6) == covered
     assert path.length_px > 24 + 2 * 8 if covered else path.length_px == pytest.approx(25, abs=3)
+
+
+def test_a_line_is_worth_the_square_of_its_light_over_the_median_and_never_more_than_one():
+    light = np.zeros((61, 61))
+    light[10:21], light[25:36], light[40:51] = 1.0, 3.0, 0.5  # strips, each wider than what the light is smoothed by
+    rows = 4 * (np.array([15.0, 30.0, 45.0]) + path._MARGIN_PX)
+    columns = 4 * (np.arange(15.0, 46.0) + path._MARGIN_PX)
+    lines = [Branch(np.c_[columns, np.full_like(columns, row)], (2 * i, 2 * i + 1)) for i, row in enumerate(rows)]
+    graph = path._with_worth(BranchGraph(np.concatenate([line.points[[0, -1]] for line in lines]), tuple(lines)), light)
+    assert [line.worth for line in graph.branches] == pytest.approx([1.0, 1.0, 0.25], abs=0.01)
+
+
+@pytest.mark.parametrize(("extra_px", "worth", "passes"), [(0.0, 1.0, 1), (60.0, 1.0, 2), (60.0, 0.03, 0)])
+def test_the_mark_of_two_strands_counts_as_much_as_their_line(extra_px, worth, passes):
+    """A straight line of 60 px with one of 30 px that leaves it in the middle, drawn wide enough for two strands."""
+    legs = [line((0, 0), (30, 0), 31), line((30, 0), (60, 0), 31), line((30, 0), (30, 30), 31)]
+    ends = [(0, 1), (1, 2), (1, 3)]
+    branches = [Branch(points, end) for points, end in zip(legs[:2], ends[:2], strict=True)]
+    branches.append(Branch(legs[2], ends[2], extra_px=extra_px, worth=worth))
+    trail = smoothest_trail(BranchGraph(np.array([[0.0, 0.0], [30, 0], [60, 0], [30, 30]]), tuple(branches)))
+    upright = np.abs(np.diff(trail[:, 1])).sum()
+    assert upright == pytest.approx(30 * passes)
