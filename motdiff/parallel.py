@@ -27,7 +27,7 @@ def one_thread_a_call() -> Iterator[None]:
     Threads on small arrays wait more than they work, and where the machine has other work they wait for a core each
     time: a photo that took 2.5 s with one thread took 14 s and 24 CPU-s with four on four busy cores. What can go side
     by side goes through :func:`side_by_side`. Torch's sums may depend on the number of threads in their last bits.
-    Where several threads of a process are within it at once, the BLAS has one thread until the first of them leaves.
+    Where several threads of a process are within it at once, the BLAS may have more again when one of them leaves.
     """
     if _WITHIN.get():
         yield
@@ -41,29 +41,34 @@ def one_thread_a_call() -> Iterator[None]:
 
 
 class _Threads:
-    """How many threads torch and the BLAS take: a setting of the process, which all its threads share."""
+    """How many threads a call takes: the BLAS's count is the process's, torch's each thread's own.
+
+    A new thread begins with what any set last.
+    """
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._users = 0
+        self._users, self._limited = 0, False
 
     @contextmanager
     def one_a_call(self) -> Iterator[None]:
         import torch
 
         with self._lock:
-            first = not self._users
-            self._users += 1
-            if first:
+            if not self._users:
                 self._before = torch.get_num_threads()
-        _one_thread_here()
+            # one at a time: a second one would find the first's limit, and leave it to the process for ever
+            limits, self._limited = not self._limited, True
+            self._users += 1
         try:
-            # only the first: a later one would find the first's limit, and leave it to the process for ever
-            with threadpool_limits(1, user_api="blas") if first else nullcontext():
+            _one_thread_here()
+            with threadpool_limits(1, user_api="blas") if limits else nullcontext():
                 yield
         finally:
             with self._lock:
                 self._users -= 1
+                if limits:
+                    self._limited = False
                 torch.set_num_threads(self._before)
 
 
@@ -99,6 +104,7 @@ def side_by_side(
 
     One at a time within :func:`one_thread`, and fewer where the environment says so: a process that shares the machine
     with others of its kind, as a benchmark's workers do, is started with ``OMP_NUM_THREADS``.
+    Beside other threads that change torch's count it belongs within :func:`one_thread_a_call`.
 
     Parameters
     ----------

@@ -182,7 +182,7 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
         warnings.append(
             f"the path found is {length_px:.0f} px long within {extent_px:.0f} px: more a web of noise than a motion"
         )
-    elif confidence >= _LOST and is_tangled(trajectories[0]):
+    elif confidence >= _LOST and is_tangled(trajectories[0].scaled(1 / level.factor)):  # strands as searched
         warnings.append(
             f"the path found is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a blur kernel does "
             "not tell the order of crossing strands: a code searched along it may be no better than a published one; "

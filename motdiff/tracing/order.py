@@ -14,6 +14,7 @@ FloatArray = NDArray[np.float64]
 # of 141 traced paths beyond both 30 had the right order, of 99 others 72 (docs/decisions.md)
 _LENGTH_PER_EXTENT, _CROSSINGS = 2.5, 1
 _LEAST_SINE = 0.2  # between strands that cross
+_STEP_PX = 0.25
 
 
 def is_tangled(path: Trajectory) -> bool:
@@ -21,19 +22,19 @@ def is_tangled(path: Trajectory) -> bool:
     return path.length_px > _LENGTH_PER_EXTENT * path.extent_px and crossings(path) > _CROSSINGS
 
 
-def crossings(path: Trajectory, *, step_px: float = 0.25) -> int:
-    """Count how often a path crosses itself, looked at in pieces of about ``step_px``.
+def crossings(path: Trajectory) -> int:
+    """Count how often a path crosses itself, looked at in pieces of a quarter of a pixel.
 
-    Strands that touch do not cross, nor do strands that are retraced: within a pixel of a crossing they part by a sine
-    of 0.2 or more.
+    Strands that touch do not cross, nor do strands that are retraced: within about a pixel of a crossing they part by
+    a sine of 0.2 or more.
     """
-    points = path.arc_resampled(max(2, round(path.length_px / step_px) + 1))
+    points = path.arc_resampled(max(2, round(path.length_px / _STEP_PX) + 1))
     side = _cross(points[1:, None] - points[:-1, None], points[None] - points[:-1, None])  # of pieces, of points
     parted = side[:, :-1] * side[:, 1:] < 0
-    reach = max(1, round(1 / step_px))
+    reach = round(1 / _STEP_PX)
     pieces = np.arange(len(points) - 1)
     ways = points[np.minimum(pieces + 1 + reach, len(points) - 1)] - points[np.maximum(pieces - reach, 0)]
-    across = np.abs(_cross(ways[:, None], ways[None])) > _LEAST_SINE * ((2 * reach + 1) * step_px) ** 2
+    across = np.abs(_cross(ways[:, None], ways[None])) > _LEAST_SINE * ((2 * reach + 1) * _STEP_PX) ** 2
     return int(np.triu(parted & parted.T & across, 2).sum())
 
 

@@ -8,6 +8,7 @@ from threadpoolctl import threadpool_info
 from motdiff.estimators.blind import Found, estimate_blind, without_faint_parts
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
+from motdiff.tracing import is_tangled
 from motdiff.trajectory import Trajectory
 
 KERNEL_PX = 39
@@ -74,7 +75,9 @@ def test_the_search_has_one_thread_a_call_and_the_process_its_own_afterwards(mon
     torch.set_num_threads(3)
     try:
         found_in(noise(100, 100), Noting())
-        assert seen == [(1, {1})]
+        ((of_torch, of_blas),) = seen
+        assert of_torch == 1
+        assert of_blas <= {1}
         assert torch.get_num_threads() == 3
     finally:
         torch.set_num_threads(before)
@@ -293,6 +296,20 @@ def test_a_tangled_path_s_order_is_said_to_be_unknown_unless_the_whole_estimate_
     assert estimate.confidence == 0.98
     (lost,) = found_in(noise(100, 100), FakeSearch((tangle / tangle.sum(), 0.4)))[0].warnings
     assert lost.startswith("the blind estimate is probably lost")
+
+
+@pytest.mark.parametrize(("side", "scale"), [(100, 1), (300, 0.5)])
+def test_a_path_is_tangled_by_its_strands_where_it_was_searched(monkeypatch, side, scale):
+    """Three strands 0.1 px aside of each other are one; twice as large in the photo they are no more."""
+    along = 20 * (1 - np.abs(1 - (3 * np.linspace(0, 1, 2001)) % 2))
+    aside = 0.1 * np.sin(2 * np.pi * along / 3) * np.where(np.arange(2001) // 667 == 1, -1, 1)
+    wobbling = Trajectory.from_samples(np.c_[along, aside])
+    assert not is_tangled(wobbling)
+    assert is_tangled(wobbling.scaled(2))
+    monkeypatch.setattr("motdiff.estimators.blind.simplest_trajectory", lambda _psf: wobbling)
+    estimate, _ = found_in(noise(side, side), FakeSearch((LONG, 0.1), (line(15), 0.98)) if scale < 1 else None)
+    assert estimate.details["scale"] == scale
+    assert not any("tangled" in warning for warning in estimate.warnings)
 
 
 def test_a_spiral_is_long_within_its_extent_but_not_tangled():

@@ -190,20 +190,60 @@ def test_two_threads_within_it_leave_the_process_what_it_had(first_out):
             assert leave[k].wait(20)
             return torch.get_num_threads()
 
-    before = blas_threads()
+    def count():
+        both.wait(20)
+        return torch.get_num_threads()
+
+    before, both = blas_threads(), threading.Barrier(2)
     with ThreadPoolExecutor(2) as pool:
         runs = []
         for k in (0, 1):
             runs.append(pool.submit(run, k))
             assert inside[k].wait(20)
-        assert set(blas_threads()) == {1}
+        assert blas_threads() <= {1}
         for k in (first_out, 1 - first_out):
             leave[k].set()
             assert runs[k].result(20) == 1
-        assert [pool.submit(torch.get_num_threads).result() for _ in range(4)] == [3] * 4
+        assert [of.result(20) for of in [pool.submit(count), pool.submit(count)]] == [3, 3]
     assert blas_threads() == before
     with ThreadPoolExecutor(1) as fresh:
         assert fresh.submit(torch.get_num_threads).result() == 3
+
+
+def test_one_that_enters_after_the_first_has_left_limits_the_blas_again():
+    inside, leave = threading.Event(), threading.Event()
+
+    def stay():
+        with one_thread_a_call():
+            inside.set()
+            assert leave.wait(20)
+
+    before = blas_threads()
+    with ThreadPoolExecutor(1) as pool:
+        with one_thread_a_call():
+            other = pool.submit(stay)
+            assert inside.wait(20)
+        with one_thread_a_call():
+            assert blas_threads() <= {1}
+        leave.set()
+        other.result(20)
+    assert blas_threads() == before
+
+
+def test_a_stop_on_the_way_in_leaves_nothing_behind(monkeypatch):
+    before = blas_threads()
+
+    def stopped():
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(parallel, "_one_thread_here", stopped)
+        with pytest.raises(KeyboardInterrupt), one_thread_a_call():
+            pass
+    with one_thread_a_call():
+        assert blas_threads() <= {1}
+    assert blas_threads() == before
+    assert torch.get_num_threads() == 3
 
 
 def test_within_itself_it_ends_with_the_outer_one():
@@ -211,12 +251,12 @@ def test_within_itself_it_ends_with_the_outer_one():
         with one_thread_a_call():
             pass
         assert torch.get_num_threads() == 1
-        assert set(blas_threads()) == {1}
+        assert blas_threads() <= {1}
     assert torch.get_num_threads() == 3
 
 
 def blas_threads():
-    return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
 
 def test_jobs_still_run_side_by_side_where_each_call_has_one_thread(monkeypatch):

@@ -44,6 +44,17 @@ def test_a_retraced_strand_does_not_cross_itself(radius, turn):
     assert crossings(Trajectory.from_samples(np.c_[way.real, way.imag])) == 0
 
 
+def test_a_strand_that_wobbles_along_another_does_not_cross_it_though_their_pieces_do():
+    """Run three times, 0.1 px to one side and the other every 1.5 px: as steep as 0.4, over a pixel hardly so."""
+    along = 20 * (1 - np.abs(1 - (3 * np.linspace(0, 1, 2001)) % 2))
+    aside = 0.1 * np.sin(2 * np.pi * along / 3) * np.where(np.arange(2001) // 667 == 1, -1, 1)
+    assert crossings(Trajectory.from_samples(np.c_[along, aside])) == 0
+
+
+def test_the_smallest_loops_count():
+    assert crossings(lissajous(1, 2, size=1.0)) == 1
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.7])
 def test_crossings_stay_under_turns_and_reversal(turn):
     path = lissajous(2, 3)
