@@ -17,7 +17,8 @@ class PsfDiffusionEstimator:
     """Blind estimator in Kernel-Diff's representation: one PSF drawn by conditional diffusion, taken as it is.
 
     It has the condition network of the shipped MoTDiff and begins with its former weights, but what it draws, and how
-    long it learnt, differ: the shipped one saw 12,816 samples drawn from 704 prepared ones, MoTDiff 142,400 from 9,600.
+    long it learnt, differ: the shipped one saw 12,816 samples drawn from 704 prepared ones, MoTDiff 209,600 from
+    13,376.
     Kernel-Diff's guidance by a deblurring network at each of 1000 steps is not part of it.
 
     Parameters

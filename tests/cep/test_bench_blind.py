@@ -368,7 +368,7 @@ def test_methods_are_checked_before_the_work(monkeypatch, tmp_path):
 
 
 def test_smaller_budgets_are_told_as_the_weights_say():
-    """Samples are updates times the batch, in the header of the weights; MoTDiff had two runs, its card tells."""
+    """Samples are updates times the batch, in the header of the weights; MoTDiff had three runs, its card tells."""
     for method, path in (("parametric", PATH_WEIGHTS), ("psf-diffusion", PSF_WEIGHTS)):
         card = read_card(path)
         samples = card["run"]["steps"] * card["config"]["optimiser"]["batch"]

@@ -128,7 +128,7 @@ def test_finished_cells_are_found_again_and_a_quick_run_is_a_part(cep, studio, g
 
 
 CLAIMED = ("--protocol", "tiny.toml", "--methods", "pmp,parametric", "--quick")
-RESERVATIONS = ("photos are those of scikit-image: too few", "smaller training budgets than MoTDiff's 142,400")
+RESERVATIONS = ("photos are those of scikit-image: too few", "smaller training budgets than MoTDiff's 209,600")
 
 
 def test_what_keeps_figures_from_a_claim_is_told(cep, studio, guesses):
