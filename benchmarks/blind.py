@@ -3,6 +3,7 @@
     python benchmarks/blind.py [simulated [DIR]] [--gyro-trace FILE] [--count 24] [--sigma 0.01]
     python benchmarks/blind.py levin DIR       # .mat files with x (sharp), y (blurred), f (kernel)
     python benchmarks/blind.py photos DIR -o OUT   # contact sheet of what was found
+    OMP_NUM_THREADS=2 taskset -c 0,1 python benchmarks/blind.py seconds [DIR]   # wall time on two cores, 256 x 256 px
     ... --method motdiff                           # pmp when omitted
 
 Without a folder the sharp photos are scikit-image's own, and without a trace the hand shake is synthetic.
@@ -70,11 +71,32 @@ def restored_db(blurred: FloatArray, psf: FloatArray, sharp: FloatArray) -> floa
     return psnr_up_to_shift(restore(blurred, psf, method="tv").image, sharp)
 
 
+def wall_times(
+    folder: Path | None, trace_file: Path | None, count: int, sigma: float, seed: int, estimator: Estimator
+) -> None:
+    """Wall time of each estimate, after loading, of photos of 256 x 256 px; the first is not counted."""
+    side = 256 + 64  # the kernel's frame is lost at the borders
+    scenes = [scene[:side, :side] for scene in sharp_photos(folder) if min(scene.shape[:2]) >= side]
+    took = []
+    for kind, photo, _ in shaken(scenes, trace_of(trace_file, seed), count + 1, sigma, seed):
+        start = time.perf_counter()
+        estimate = estimator.estimate(photo)
+        took.append(time.perf_counter() - start)
+        searches = estimate.details.get("classical", estimate.details.get("starts"))
+        print(f"{kind:14s} {photo.shape}  {took[-1]:5.2f} s  {searches} searches", flush=True)
+    print(f"mean {np.mean(took[1:]):.2f} s, {min(took[1:]):.2f} to {max(took[1:]):.2f} s, n {count}")
+
+
+def trace_of(file: Path | None, seed: int) -> GyroTrace:
+    if file is not None:
+        return read_gyro(file)
+    return smooth_trace(np.random.default_rng(seed), duration_s=60.0, rate_hz=200.0)
+
+
 def simulated(
     folder: Path | None, trace_file: Path | None, count: int, sigma: float, seed: int, estimator: Estimator
 ) -> None:
-    rng = np.random.default_rng(seed)
-    trace = smooth_trace(rng, duration_s=60.0, rate_hz=200.0) if trace_file is None else read_gyro(trace_file)
+    trace = trace_of(trace_file, seed)
     rows: dict[str, list[list[float]]] = {}
     for i, (kind, photo, psf) in enumerate(shaken(sharp_photos(folder), trace, count, sigma, seed)):
         estimate, seconds = estimated(estimator, photo)
@@ -157,7 +179,7 @@ def thumbnail(photo: FloatArray) -> FloatArray:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["simulated", "levin", "photos"], nargs="?", default="simulated")
+    parser.add_argument("what", choices=["simulated", "levin", "photos", "seconds"], nargs="?", default="simulated")
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--gyro-trace", type=Path)
     parser.add_argument("--count", type=int, default=24)
@@ -167,13 +189,14 @@ def main() -> None:
     parser.add_argument("--method", choices=METHODS[:2], default="pmp")
     parser.add_argument("-o", "--out", type=Path, default=Path("out/blind"))
     given = parser.parse_args()
-    if given.folder is None and given.what != "simulated":
+    if given.folder is None and given.what not in ("simulated", "seconds"):
         parser.error(f"{given.what} needs a folder")
     estimator = make_estimator(given.method)
     if given.what == "levin":
         levin(given.folder, estimator)
-    elif given.what == "simulated":
-        simulated(given.folder, given.gyro_trace, given.count, given.sigma, given.seed, estimator)
+    elif given.what in ("simulated", "seconds"):
+        measure = simulated if given.what == "simulated" else wall_times
+        measure(given.folder, given.gyro_trace, given.count, given.sigma, given.seed, estimator)
     else:
         photos(given.folder, given.out, given.gamma, estimator)
 

@@ -104,7 +104,6 @@ def side_by_side(
 
     One at a time within :func:`one_thread`, and fewer where the environment says so: a process that shares the machine
     with others of its kind, as a benchmark's workers do, is started with ``OMP_NUM_THREADS``.
-    Beside other threads that change torch's count it belongs within :func:`one_thread_a_call`.
 
     Parameters
     ----------
@@ -114,22 +113,18 @@ def side_by_side(
     """
     import torch
 
-    threads = torch.get_num_threads()
     results: list[_Result] = []
-    try:
-        workers = max(1, min(len(jobs), _cores()))
-        with ThreadPoolExecutor(workers, initializer=_one_thread_here) as pool:
-            # each with the context of here: a job that runs others side by side keeps to one thread as well
-            runs = [pool.submit(copy_context().run, torch.no_grad()(job)) for job in jobs]
-            try:
-                for run in runs:
-                    results.append(run.result())
-                    tell(len(results))
-            except BaseException:  # Ctrl-C: do not start what still waits
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-    finally:
-        torch.set_num_threads(threads)
+    workers = max(1, min(len(jobs), _cores()))
+    with one_thread_a_call(), ThreadPoolExecutor(workers, initializer=_one_thread_here) as pool:
+        # each with the context of here: a job that runs others side by side keeps to one thread as well
+        runs = [pool.submit(copy_context().run, torch.no_grad()(job)) for job in jobs]
+        try:
+            for run in runs:
+                results.append(run.result())
+                tell(len(results))
+        except BaseException:  # Ctrl-C: do not start what still waits
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
     return results
 
 

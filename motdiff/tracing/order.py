@@ -29,7 +29,7 @@ def crossings(path: Trajectory) -> int:
     a sine of 0.2 or more.
     """
     points = path.arc_resampled(max(2, round(path.length_px / _STEP_PX) + 1))
-    side = _cross(points[1:, None] - points[:-1, None], points[None] - points[:-1, None])  # of pieces, of points
+    side = _cross(np.diff(points, axis=0)[:, None], points - points[:-1, None])  # of pieces, of points
     parted = side[:, :-1] * side[:, 1:] < 0
     reach = round(1 / _STEP_PX)
     pieces = np.arange(len(points) - 1)
