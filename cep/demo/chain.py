@@ -35,7 +35,7 @@ LIGHT_LEVELS = (100.0, 1_000.0, 10_000.0, 100_000.0)
 
 _DUTY = (0.35, 0.75)
 _MOST_CHIPS = 64
-_STEPS = 400_000  # more gain nothing: docs/decisions.md
+_STEPS = 400_000  # as in the benchmark's protocols
 _LARGEST_SCENE_PX = 768
 _RESTORATION = "wiener"
 _CHIP_NS = 1_000_000

@@ -16,7 +16,7 @@ __all__ = ["uneven_blur_warning"]
 FloatArray = NDArray[np.float64]
 
 _WEIGHTS = np.array([0.8, 2.0, -1.0])  # of the evidence, as in both rankings
-_CLEARLY = 0.02  # docs/decisions.md
+_CLEARLY = 0.02  # docs/decisions/motion-estimation.md
 _SAME_MNC = 0.95
 
 

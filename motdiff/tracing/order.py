@@ -11,7 +11,7 @@ __all__ = ["crossings", "is_tangled"]
 
 FloatArray = NDArray[np.float64]
 
-# of 141 traced paths beyond both 30 had the right order, of 99 others 72 (docs/decisions.md)
+# of 141 traced paths beyond both 30 had the right order, of 99 others 72 (docs/decisions/tracing.md)
 _LENGTH_PER_EXTENT, _CROSSINGS = 2.5, 1
 _LEAST_SINE = 0.2  # between strands that cross
 _STEP_PX = 0.25

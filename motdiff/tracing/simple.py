@@ -12,7 +12,7 @@ from motdiff.trajectory import Trajectory
 
 __all__ = ["simplest_trajectory"]
 
-_EXPLAINED_MNC = 0.86  # docs/decisions.md
+_EXPLAINED_MNC = 0.86  # docs/decisions/tracing.md
 _FRAME_PX = 64
 
 

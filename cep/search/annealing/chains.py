@@ -26,7 +26,7 @@ _TICK_S = 0.1  # between two looks of the caller
 _PATIENCE = 32  # steps without a better code before a walk ends
 _KEPT = 64  # walks of a chain whose ends are offered: another objective may judge them
 _KICK = (3, 9)  # swaps that start a walk from one of the best
-_FRESH = 0.8  # share of walks that start from a random code: docs/decisions.md
+_FRESH = 0.8  # share of walks that start from a random code: docs/decisions/search.md
 
 
 @dataclass(frozen=True)

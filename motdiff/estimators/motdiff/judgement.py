@@ -11,7 +11,7 @@ FloatArray = NDArray[np.float64]
 
 FEATURES = ("spectral_fit", "phase_evidence", "rim_light", "sample_agreement", "classical_agreement")
 
-# Fitted on simulated photos of the training set's held-out scenes, see docs/decisions.md
+# Fitted on simulated photos of the training set's held-out scenes, see docs/decisions/network.md
 _WEIGHTS = np.array([0.8, 2.0, -1.0, 0.2, 0.2])
 _SLOPE, _OFFSET = 12.5, -8.5
 
