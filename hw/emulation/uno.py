@@ -127,9 +127,28 @@ class EmulatedUno:
         if self._running().poll() is not None:
             self._line()
 
-    def trigger(self) -> None:
-        """Give a rising edge on the trigger input, at any moment within half a millisecond."""
-        self._command("trigger")
+    def trigger(self, *, pulses: int = 1, hertz: float = 5000.0) -> None:
+        """Give rising edges on the trigger input, the first at any moment within half a millisecond.
+
+        Pulses of an earlier call that are still to come are dropped.
+
+        Parameters
+        ----------
+        pulses : int
+            Number of edges.
+        hertz : float
+            Edges a second; each pulse is high for half of its period, in whole clock cycles.
+
+        Raises
+        ------
+        ValueError
+            If there is no edge, or if they are slower than 1 Hz or faster than half the clock.
+        """
+        if pulses < 1:
+            raise ValueError(f"pulses is {pulses}: at least 1 is needed")
+        if not 1 <= hertz <= CLOCK_HZ / 2:
+            raise ValueError(f"hertz is {hertz}: 1..{CLOCK_HZ // 2} is needed")
+        self._command(f"trigger {pulses} {round(CLOCK_HZ / hertz)}")
 
     def hang(self) -> int:
         """Make the program stop where it is, interrupts off, until it is reset; the cycle since start is returned."""

@@ -32,6 +32,7 @@ _SKETCH = Template("""\
 //
 // D9 is the shutter. It needs a resistor of 10 kOhm to its closed level: while the board starts, pins float.
 // A rising edge on D2, or the letter t at 115200 baud, plays the code once; the first chip begins one chip time later.
+// Further ones during the play do nothing.
 // The edges are made by the output compare of Timer1, hence exact to the clock cycle whatever else runs.
 
 #include <avr/interrupt.h>
@@ -77,10 +78,13 @@ static void stop() {
   TCCR1C = _BV(FOC1A);  // the compare unit remembers its level: leave it closed
   TCCR1A = 0;           // D9 follows PORTB, which is closed
   playing = 0;
+  EIFR = _BV(INTF0);  // edges during the play are no triggers
+  EIMSK = _BV(INT0);
 }
 
 static void play() {
   if (playing) return;
+  EIMSK = 0;  // its interrupt outranks the timer's: triggers in quick succession would hold the shutter open
   playing = 1;
   chip = 0;
   TCNT1 = 0;
@@ -119,8 +123,7 @@ void setup() {
   DDRD &= ~_BV(DDD2);
   PORTD |= _BV(PORTD2);  // an open trigger input stays quiet
   EICRA = _BV(ISC01) | _BV(ISC00);
-  EIFR = _BV(INTF0);
-  EIMSK = _BV(INT0);
+  EIFR = _BV(INTF0);  // stop() has enabled its interrupt
   UCSR0A = _BV(U2X0);
   UBRR0 = 16;
   UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);

@@ -1,5 +1,6 @@
 """The emulated Uno itself: what it says when it cannot run, its clock, its captures, its end."""
 
+import itertools
 import os
 import subprocess
 import sys
@@ -112,6 +113,32 @@ def test_off_it_says_so_and_still_knows_what_its_pins_did():
     assert [level for _, level in seen] == [level for _, level in PROGRAM.edges]
     with pytest.raises(ValueError, match="one of shutter, busy, trigger"):
         uno.edges("reset")
+
+
+@pytest.mark.parametrize(("hertz", "period"), [(100, 160_000), (250e3, 64), (300e3, 53), (8e6, 2)])
+def test_triggers_come_as_often_as_asked_and_outlast_a_reset(hertz, period):
+    require_simavr()
+    with EmulatedUno(speed=0) as uno:
+        uno.trigger(pulses=20, hertz=hertz)
+        uno.hang()  # the watchdog resets the board
+        end = time.monotonic() + 20
+        while len(uno.edges("trigger")) < 40:
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        edges = uno.edges("trigger")
+    assert [level for _, level in edges] == [1, 0] * 20
+    rises = [cycle for cycle, level in edges if level]
+    gaps = [later - earlier for earlier, later in itertools.pairwise(rises)]
+    # what is seen between two instructions is late by less than one of them
+    assert sum(abs(gap - period) > 8 for gap in gaps) <= 1, gaps  # but for the reset
+    assert rises[-1] - rises[0] >= 18 * period - 8
+
+
+def test_triggers_that_cannot_be_made_are_refused():
+    uno = EmulatedUno()
+    for wrong in ({"pulses": 0}, {"hertz": 0.5}, {"hertz": 9e6}, {"hertz": float("nan")}):
+        with pytest.raises(ValueError, match=f"{next(iter(wrong))} is"):
+            uno.trigger(**wrong)
 
 
 def test_killed_from_outside_it_says_so():

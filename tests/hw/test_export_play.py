@@ -1,6 +1,7 @@
 """Exported files in the hands of those they are for: compilers, an emulated Uno, a PIO, and logic-analyser software."""
 
 import io
+import itertools
 import random
 import re
 import subprocess
@@ -70,6 +71,13 @@ def _triggered(uno):
     time.sleep(0.5)
 
 
+def _check_on_grid(play, program, closed=0):
+    wanted = [(time_ns / CYCLE_NS, level ^ closed) for time_ns, level in program.edges]
+    assert [level for _, level in play] == [level for _, level in wanted]
+    late = [cycle - at for (cycle, _), (at, _) in zip(play, wanted, strict=True)]
+    assert max(late) - min(late) < 8  # simulated pins change late, but none in another tick
+
+
 @pytest.mark.parametrize(
     ("program", "device"),
     [
@@ -97,13 +105,37 @@ def test_arduino_sketch_plays_every_edge_on_the_grid(tmp_path, simulator, progra
     edges = shutter[closed:]
     assert len(edges) == 2 * count
     for play in (edges[:count], edges[count:]):
-        wanted = [(time_ns / CYCLE_NS, level ^ closed) for time_ns, level in program.edges]
-        assert [level for _, level in play] == [level for _, level in wanted]
-        late = [cycle - at for (cycle, _), (at, _) in zip(play, wanted, strict=True)]
-        assert max(late) - min(late) < 8  # simulated pins change late, but none in another tick
+        _check_on_grid(play, program, closed)
     # One chip and a few microseconds after a trigger; those that came during the play did nothing.
     start = edges[0][0] - (program.edges[0][0] + program.chip_ns) / CYCLE_NS
     assert any(0 < start - rise < 12_000 / CYCLE_NS for rise, level in triggers if level)
+
+
+@pytest.mark.parametrize(
+    ("simulator", "hertz"),
+    [(_simavr, 100e3), (_simavr, 200e3), (_simavr, 300e3), (_simavr, 500e3), (_simavr, 1e6), (_avr8js, 250e3)],
+)
+def test_arduino_sketch_plays_right_through_a_storm_of_triggers(tmp_path, simulator, hertz):
+    require_tool("avr-g++", "avr-objcopy")
+    program = Program(RASKAR, 50_000)
+    count = len(program.edges)
+    play_cycles = (program.duration_ns + 2 * program.chip_ns) / CYCLE_NS
+    with simulator(_built(program, tmp_path, DeviceProfile(name="low"))) as uno:
+        _wait(lambda: uno.edges() or _triggered(uno))  # until setup is over
+        _wait(lambda: len(uno.edges()) % count == 0)
+        before, storm = len(uno.edges("trigger")), round(hertz * 0.01)
+        uno.trigger(pulses=storm, hertz=hertz)
+        _wait(lambda: len(uno.edges("trigger")) == before + 2 * storm)
+        quiet = uno.edges("trigger")[-1][0] + play_cycles
+        _wait(lambda: uno.edges()[-1][0] > quiet or _triggered(uno))
+        _wait(lambda: len(uno.edges()) % count == 0)
+        edges = uno.edges()
+    closings = (cycle - opened for (opened, level), (cycle, _) in itertools.pairwise(edges) if level)
+    assert max(closings) < 200_000 / CYCLE_NS + 8  # the code's longest opening: four chips
+    plays = [edges[k : k + count] for k in range(0, len(edges), count)]
+    assert len(plays) >= 4  # one before the storm, one after it, and one after the other while it lasts
+    for play in plays:
+        _check_on_grid(play, program)
 
 
 @pytest.mark.parametrize(
@@ -185,8 +217,9 @@ class _Pio:
 class _Board:
     """MicroPython's modules `machine` and `rp2`, as far as the script knows them."""
 
-    def __init__(self, plays):
-        self.pio, self.plays, self.played = _Pio(), plays, []
+    def __init__(self, plays, trigger=lambda cycle: cycle < 90 or cycle >= 100):
+        # high at first: the script must wait for an edge and not for a level
+        self.pio, self.plays, self.played, self.trigger = _Pio(), plays, [], trigger
         self.fifo, self.debug, self.pins, self.is_active = [], 1 << 24, {}, False
         self.frequency = None
 
@@ -234,8 +267,7 @@ class _Board:
                 if on:
                     assert not board.debug, "a stale flag would end the play at once"
                     closed = board.options["out_init"]
-                    # high at first: the script must wait for an edge and not for a level
-                    board.played.append(board.pio.play(board.fifo, closed, lambda cycle: cycle < 90 or cycle >= 100))
+                    board.played.append(board.pio.play(board.fifo, closed, board.trigger))
                     board.fifo.clear()
                     board.debug = 1 << 24
 
@@ -282,6 +314,16 @@ def test_rp2_script_plays_to_the_cycle(bits, cycles, closed_level):
         assert edges == [(102 + at // 8, level ^ closed_level) for at, level in program.edges]
         assert stalled >= 102 + program.duration_ns // 8
         assert edges[-1][1] == closed_level
+
+
+@pytest.mark.parametrize("half_period", [1, 62, 125, 625])
+def test_rp2_script_plays_right_through_a_storm_of_triggers(half_period):
+    program = Program(RASKAR, 1000)
+    board = _Board(plays=2, trigger=lambda cycle: cycle // half_period % 2 == 0)
+    board.run(EXPORTERS["rp2"].export(program))
+    begin = 2 * half_period + 2  # cycles after the first edge, as above
+    for edges, _ in board.played:
+        assert edges == [(begin + at // 8, level) for at, level in program.edges]
 
 
 def test_rp2_instructions_are_what_an_assembler_makes_of_them():

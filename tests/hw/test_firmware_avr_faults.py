@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from emulators.avr import check_edges, played
+from emulators.avr import check_edges, one_play, played
 from emulators.tools import require_simavr
 
 from hw.cxp.link import Link
@@ -116,6 +116,21 @@ def test_a_program_that_hangs_while_armed_forgets_it_and_obeys_no_trigger():
             assert controller.status().state is State.IDLE
             assert uno.edges() == ()
         check_usable(uno)
+
+
+@pytest.mark.parametrize("hertz", [100e3, 300e3, 1e6])
+def test_a_storm_of_triggers_plays_the_code_once_and_exactly(hertz):
+    code = Stored(RASKAR, 100, 0)
+    with EmulatedUno(speed=0) as uno, Controller.open(uno.port, timeout_s=0.3) as controller:
+        controller.load(Program.from_bits(RASKAR, chip_ns=50_000))
+        with one_play(uno) as plays:
+            controller.arm(lease_ms=0xFFFF)
+            uno.trigger(pulses=round(0.01 * hertz), hertz=hertz)
+            wait_for(lambda: len(uno.edges("trigger")) == 2 * round(0.01 * hertz))
+            status = controller.wait(timeout_s=30)
+        assert (status.state, status.runs, status.late) == (State.DONE, 1, 0)
+        check_edges(plays[0], code)
+        check_edges(played(uno, controller, code), code)
 
 
 def test_the_lease_ends_and_no_trigger_is_obeyed_after_it():

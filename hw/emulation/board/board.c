@@ -8,8 +8,6 @@
 #include <sim_core.h>
 #include <sim_hex.h>
 
-#define TRIGGER_CYCLES 1600 /* length of a pulse */
-
 enum pin { SHUTTER, BUSY, TRIGGER, PINS };
 static const char *const names[PINS] = {"shutter", "busy", "trigger"};
 
@@ -24,6 +22,9 @@ static struct event *events;
 static size_t event_count, event_room;
 static uint8_t levels[PINS];
 static avr_irq_t *trigger_input;
+static struct {
+    uint64_t left, period; /* pulses to come, and cycles from one to the next */
+} train;
 
 static bool stop_running, was_reset;
 static void (*restart_timers)(void);
@@ -118,6 +119,29 @@ void board_make(const char *hex)
     trigger_input = pin_of('D', 2);
 }
 
+static avr_cycle_count_t toggle_trigger(avr_t *core, avr_cycle_count_t when, void *unused)
+{
+    uint64_t high = train.period / 2;
+    uint8_t level = !levels[TRIGGER];
+
+    (void)core;
+    (void)unused;
+    note(TRIGGER, level);
+    avr_raise_irq(trigger_input, level);
+    if (level) {
+        train.left--;
+        return when + high;
+    }
+    return train.left ? when + train.period - high : 0;
+}
+
+void board_trigger(uint64_t cycles, uint64_t pulses, uint64_t period)
+{
+    train.left = pulses;
+    train.period = period;
+    avr_cycle_timer_register(avr, cycles, toggle_trigger, NULL);
+}
+
 void board_on_reset(void (*restart)(void))
 {
     restart_timers = restart;
@@ -131,8 +155,11 @@ void board_run(void)
 
         if (state == cpu_Done || state == cpu_Crashed)
             fail("the firmware crashed");
-        if (was_reset)
+        if (was_reset) {
             restart_timers();
+            if (train.left || levels[TRIGGER]) /* they come from outside and go on */
+                avr_cycle_timer_register(avr, train.period / 2, toggle_trigger, NULL);
+        }
         was_reset = false;
     }
 }
@@ -140,22 +167,6 @@ void board_run(void)
 void board_stop_running(void)
 {
     stop_running = true;
-}
-
-static avr_cycle_count_t set_trigger(avr_t *core, avr_cycle_count_t when, void *level)
-{
-    (void)core;
-    (void)when;
-    note(TRIGGER, level != NULL);
-    avr_raise_irq(trigger_input, level != NULL);
-    if (level)
-        avr_cycle_timer_register(avr, TRIGGER_CYCLES, set_trigger, NULL);
-    return 0;
-}
-
-void board_trigger(uint64_t cycles)
-{
-    avr_cycle_timer_register(avr, cycles, set_trigger, (void *)1);
 }
 
 void board_hang(void)

@@ -21,8 +21,8 @@ void board_stop_running(void);
 /* Call `restart` now and after each reset: simavr forgets all its timers then. */
 void board_on_reset(void (*restart)(void));
 
-/* A rising edge on the trigger input after so many cycles. */
-void board_trigger(uint64_t cycles);
+/* Pulses on the trigger input, the first after `cycles`, in place of those that are still to come; `period` is 2 or more. */
+void board_trigger(uint64_t cycles, uint64_t pulses, uint64_t period);
 
 /* Stop the program where it is, interrupts off, until a reset. */
 void board_hang(void);

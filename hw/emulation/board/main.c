@@ -4,12 +4,13 @@
  *   simavr_uno FIRMWARE.hex SPEED CLOCK_PPM NOISE SEED
  *
  * prints "PTY <device>" and then obeys lines on standard input, each answered by one line, or by lines up to a single ".":
- *   trigger   a rising edge on D2, within half a millisecond      -> OK
- *   hang      the program stops where it is, interrupts off       -> OK <cycle>
- *   cycle     how far its time has come                           -> OK <cycle>
- *   unplug    the pseudo-terminal is gone, the board runs on      -> OK
- *   plug      a new pseudo-terminal                               -> OK <device>
- *   events    what the pins did                                   -> <cycle> <pin> <level> ... .
+ *   trigger PULSES PERIOD   rising edges on D2, PERIOD cycles apart,
+ *                           the first within half a millisecond         -> OK
+ *   hang                    the program stops where it is, no interrupts -> OK <cycle>
+ *   cycle                   how far its time has come                   -> OK <cycle>
+ *   unplug                  the pseudo-terminal is gone, the board runs -> OK
+ *   plug                    a new pseudo-terminal                       -> OK <device>
+ *   events                  what the pins did                           -> <cycle> <pin> <level> ... .
  * It ends with its standard input, so that it never outlives whoever started it.
  */
 #define _GNU_SOURCE
@@ -50,8 +51,10 @@ static void restart_timers(void)
 
 static void obey(const char *command)
 {
-    if (!strcmp(command, "trigger")) {
-        board_trigger(1 + (uint64_t)(chance() * CYCLES_A_LOOK));
+    unsigned long long pulses, period;
+
+    if (sscanf(command, "trigger %llu %llu", &pulses, &period) == 2 && pulses && period >= 2) {
+        board_trigger(1 + (uint64_t)(chance() * CYCLES_A_LOOK), pulses, period);
         puts("OK");
     } else if (!strcmp(command, "hang")) {
         board_hang();

@@ -41,9 +41,9 @@ class Avr8jsUno:
         os.close(self._slave)
         self._folder.cleanup()
 
-    def trigger(self) -> None:
+    def trigger(self, *, pulses: int = 1, hertz: float = 5000.0) -> None:
         assert self._node.stdin is not None
-        self._node.stdin.write(b"trigger\n")
+        self._node.stdin.write(f"trigger {pulses} {round(16e6 / hertz)}\n".encode())
         self._node.stdin.flush()
 
     def edges(self, signal: str = "shutter") -> tuple[tuple[int, int], ...]:

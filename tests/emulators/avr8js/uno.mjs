@@ -1,5 +1,5 @@
 // An Arduino Uno on avr8js: node uno.mjs FIRMWARE.hex EVENTS_FILE DESCRIPTOR, the last being a pseudo-terminal for the UART.
-// Lines on standard input: "trigger" gives a rising edge on D2. It ends with its standard input.
+// Lines on standard input: "trigger PULSES PERIOD" gives rising edges on D2, PERIOD cycles apart. It ends with its standard input.
 import fs from "node:fs";
 import { createRequire } from "node:module";
 
@@ -12,7 +12,6 @@ const {
 const CLOCK_HZ = 16e6;
 const CYCLES_A_BYTE = 1389;
 const CYCLES_A_LOOK = 16000;
-const TRIGGER_CYCLES = 1600;
 const TERMINAL = Number(process.argv[4]);
 
 function readHex(path) {
@@ -57,13 +56,24 @@ fs.createReadStream(null, { fd: TERMINAL }).on("data", (bytes) => {
 });
 uart.onByteTransmit = (byte) => fs.writeSync(TERMINAL, Uint8Array.of(byte));
 
-function trigger(level) {
+// Clock events come late, between instructions: the train keeps its period by the moments at which they were due.
+let train = { left: 0, period: 0 };
+function trigger(pulses, level, when) {
+  if (pulses !== train) return;
+  const high = Math.floor(train.period / 2);
   note("trigger", level);
   portD.setPin(2, level === 1);
-  if (level) cpu.addClockEvent(() => trigger(0), TRIGGER_CYCLES);
+  if (level) train.left--;
+  else if (!train.left) return;
+  const next = when + (level ? high : train.period - high);
+  cpu.addClockEvent(() => trigger(pulses, 1 - level, next), Math.max(0, next - cpu.cycles));
 }
 process.stdin.on("data", (text) => {
-  if (String(text).includes("trigger")) cpu.addClockEvent(() => trigger(1), 1 + Math.floor(Math.random() * CYCLES_A_LOOK));
+  for (const [, left, period] of String(text).matchAll(/trigger (\d+) (\d+)/g)) {
+    const pulses = (train = { left: Number(left), period: Number(period) });
+    const first = cpu.cycles + 1 + Math.floor(Math.random() * CYCLES_A_LOOK);
+    cpu.addClockEvent(() => trigger(pulses, 1, first), first - cpu.cycles);
+  }
 });
 process.stdin.on("end", () => process.exit(0));
 
