@@ -118,13 +118,19 @@ def arm(port: Port, lease_ms: LeaseMs = 10_000, as_json: Json = False) -> None:
 
     Example: cep hw arm --port /dev/ttyACM0 --lease-ms 60000
     """
+    from hw.cxp.protocol import State
+
     with _controller(port) as controller:
-        controller.arm(lease_ms=lease_ms)
+        status = controller.arm(lease_ms=lease_ms)
         told = controller.announced
-    result = {"port": port, "armed": True, "lease_ms": lease_ms, "trust": _ACKNOWLEDGED}
+    armed = status.state is State.ARMED
+    result = {
+        "port": port, "armed": armed, "lease_ms": lease_ms, **_status_figures(status), "trust": _ACKNOWLEDGED,
+    }  # fmt: skip
     where = "its trigger input or cep hw trigger" if told.trigger_input else "cep hw trigger"
+    then = f"armed for {lease_ms} ms; {where} plays it" if armed else f"armed and triggered already, {_name(status)}"
     finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{port}: armed for {lease_ms} ms; {where} plays it (trust {_ACKNOWLEDGED}: acknowledged only)"
+        f"{port}: {then} (trust {_ACKNOWLEDGED}: acknowledged only)"
     ))  # fmt: skip
 
 
@@ -141,11 +147,10 @@ def trigger(
     Example: cep hw trigger --port /dev/ttyACM0
     """
     with _controller(port) as controller:
-        controller.trigger()
-        status = controller.wait(timeout_s=wait_s)
+        status = controller.play(timeout_s=wait_s)
     result = {"port": port, **_status_figures(status), "trust": _ACKNOWLEDGED}
     finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{port}: played, {status.late} edges missed, shutter closed"
+        f"{port}: played, 0 edges missed, shutter closed"
     ))  # fmt: skip
 
 
@@ -156,10 +161,9 @@ def abort(port: Port, as_json: Json = False) -> None:
     Example: cep hw abort --port /dev/ttyACM0
     """
     with _controller(port) as controller:
-        controller.abort()
-        status = controller.status()
+        status = controller.abort()
     result = {"port": port, **_status_figures(status), "trust": _ACKNOWLEDGED}
-    finish(result, as_json=as_json, show=lambda console: console.print(f"{port}: closed, {status.state.name.lower()}"))
+    finish(result, as_json=as_json, show=lambda console: console.print(f"{port}: closed, {_name(status)}"))
 
 
 @hw.command("calibrate")
@@ -222,7 +226,7 @@ def monitor(
                 changes.append(change)
                 if not as_json:
                     page.print(
-                        f"{change['after_s']:9.3f} s  {status.state.name.lower():7s} plays {status.runs}  "
+                        f"{change['after_s']:9.3f} s  {_name(status):7s} plays {status.runs}  "
                         f"missed edges {status.late}  bad frames {status.bad_frames}  CRC32 0x{status.stored_crc32:08x}"
                     )
             last = shown
@@ -267,9 +271,13 @@ def _hello_figures(told: Hello) -> dict[str, object]:
     }
 
 
+def _name(status: Status) -> str:
+    return status.state.name.lower()
+
+
 def _status_figures(status: Status) -> dict[str, object]:
     return {
-        "state": status.state.name.lower(),
+        "state": _name(status),
         "position": status.pos,
         "plays": status.runs,
         "missed_edges": status.late,

@@ -136,7 +136,8 @@ def upload(
         if output:
             write_text(output, json_text(result))  # in here, since a command that fails must leave nothing armed
     lease = f" for {report.lease_ms} ms" if report.lease_ms else ""
-    then = "; played once" if play else f"; armed{lease}" if report.armed else ""
+    armed = f"; armed{lease}" if report.armed else "; armed and triggered already"
+    then = "; played once" if play else armed if arm else ""
     trust = f"trust {report.trust}: {report.trust.meaning}"
     finish(result, as_json=as_json, show=lambda console: console.print(
         f"{report.port}: {program.chips} chips of {program.chip_ns} ns loaded, {trust}{then}"
@@ -166,8 +167,7 @@ def _to_cxp(wish: _Wish) -> Iterator[UploadReport]:
             clock_ppm=wish.clock_ppm,
         )  # fmt: skip
         if wish.play:
-            controller.trigger()
-            controller.wait(timeout_s=1.1e-9 * wish.program.duration_ns + 2)
+            controller.play(timeout_s=1.1e-9 * wish.program.duration_ns + 2)
             report = replace(report, armed=False, lease_ms=None)
         yield report
 

@@ -8,7 +8,17 @@ from types import TracebackType
 from typing import Self
 
 from hw.cxp.framing import BINARY, TEXT, FrameError, Framing
-from hw.cxp.protocol import Hello, Op, Reply, op_name, parse_reply, request_body, unpack_hello
+from hw.cxp.protocol import (
+    AT_REST,
+    Hello,
+    Op,
+    Reply,
+    op_name,
+    parse_reply,
+    request_body,
+    unpack_hello,
+    unpack_status,
+)
 from hw.errors import DeviceError, device_error
 from hw.port import LinkError, OpenPort, PortError, SerialPort, open_port
 
@@ -120,14 +130,14 @@ class Link:
         raise PortError(f"{self.name} is silent for {hello_s:g} s: check power and firmware, or name another port")
 
     def abort(self) -> bool:
-        """Close the shutter and disarm, never raising; False when the device did not acknowledge it."""
+        """Close the shutter and disarm, never raising; False unless the device says afterwards that it is at rest."""
         if not self._port.is_open:
             return False
         try:
             self.request(Op.ABORT)
-        except (LinkError, DeviceError):
+            return unpack_status(self.request(Op.STATUS)).state in AT_REST
+        except (LinkError, DeviceError, FrameError):
             return False
-        return True
 
     def close(self) -> None:
         """Close the port without a word to the device; may be called again."""
@@ -145,8 +155,8 @@ class Link:
         self.close()
 
     def abort_after(self, error: BaseException) -> None:
-        """Send ABORT because of `error`, and note on it when the device did not acknowledge."""
-        note = f"{self.name} did not acknowledge ABORT: look whether the shutter is closed"
+        """Send ABORT because of `error`, and note on it when the device is not known to be at rest afterwards."""
+        note = f"{self.name} did not confirm ABORT: the shutter may still be open"
         if not self.abort() and note not in getattr(error, "__notes__", ()):
             error.add_note(note)
 

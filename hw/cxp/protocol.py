@@ -13,6 +13,7 @@ from enum import IntEnum
 from hw.cxp.framing import FrameError
 
 __all__ = [
+    "AT_REST",
     "Hello",
     "Op",
     "Reply",
@@ -56,6 +57,10 @@ class State(IntEnum):
     PLAY = 3
     DONE = 4
     FAULT = 5
+
+
+AT_REST = frozenset({State.IDLE, State.LOADED})
+"""States after ABORT: closed, and no trigger is obeyed."""
 
 
 class ResetCause(IntEnum):

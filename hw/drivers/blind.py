@@ -215,7 +215,7 @@ class BlindDevice(ABC):
             raise
 
     def _abort_after(self, error: BaseException) -> None:
-        note = f"{self.name} did not acknowledge ABORT: look whether the shutter is closed"
+        note = f"{self.name} did not confirm ABORT: the shutter may still be open"
         if not self._aborts() and note not in getattr(error, "__notes__", ()):
             error.add_note(note)
 

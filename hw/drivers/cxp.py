@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Self
 
 from hw.cxp.framing import FrameError
 from hw.cxp.link import Link, open_link
 from hw.cxp.protocol import (
+    AT_REST,
     Hello,
     Op,
     State,
@@ -52,8 +55,7 @@ class Controller:
 
         with Controller.open("/dev/ttyUSB0") as controller:
             report = controller.upload(program, arm=True)
-            controller.trigger()
-            controller.wait(timeout_s=1.0)
+            controller.play(timeout_s=1.0)
     """
 
     def __init__(self, link: Link, hello: Hello) -> None:
@@ -106,7 +108,7 @@ class Controller:
         ValueError
             If the program cannot be said in the device's ticks, see `hw.cxp.protocol.stored_program`.
         VerifyError
-            If the device confirms something else.
+            If the device confirms something else, or is not loaded afterwards.
         """
         wanted = stored_program(program, self.announced, clock_ppm=clock_ppm)
         try:
@@ -115,6 +117,9 @@ class Controller:
             raise VerifyError(f"{self.link.name}: {error}") from None
         if crc != wanted.crc32:
             raise VerifyError(f"{self.link.name} confirms CRC32 0x{crc:08x}: 0x{wanted.crc32:08x} was sent")
+        status = self.status()
+        if status.state is not State.LOADED:
+            raise self._belied(Op.LOAD, status)
         return wanted
 
     def read(self) -> Stored:
@@ -142,24 +147,75 @@ class Controller:
         if stored != wanted:
             raise VerifyError(f"{self.link.name} holds another program than it was sent: {wanted.difference(stored)}")
 
-    def arm(self, *, lease_ms: int = 10_000) -> None:
-        """Let the next trigger play the program; without one the device disarms itself after `lease_ms`."""
+    def arm(self, *, lease_ms: int = 10_000) -> Status:
+        """Let the next trigger play the program; without one the device disarms itself after `lease_ms`.
+
+        Returns
+        -------
+        Status
+            Read back afterwards. The state is ARMED, or PLAY or DONE where the trigger input was quicker.
+
+        Raises
+        ------
+        VerifyError
+            If the device is in another state; it has then been told to abort.
+        """
         payload = pack_arm(lease_ms)
-        self._closed_on_doubt(Op.ARM, payload)
+        before = self.status()
+        with self._closed_on_doubt():
+            return self._armed(payload, before)
 
     def trigger(self) -> None:
-        """Play the program once; a lost reply never plays it twice."""
-        self._closed_on_doubt(Op.TRIG)
+        """Play the program once; a lost reply never plays it twice. The device acknowledges, and no more is known."""
+        with self._closed_on_doubt():
+            self.link.request(Op.TRIG)
 
-    def abort(self) -> None:
+    def play(self, *, timeout_s: float) -> Status:
+        """Play the program once, wait for its end, and read back that it was played.
+
+        Returns
+        -------
+        Status
+            Read back afterwards. The state is DONE, one more play has ended, and no edge of it was missed.
+
+        Raises
+        ------
+        VerifyError
+            If it still plays after `timeout_s`, or if the device says anything else; it has then been told to abort.
+        """
+        before = self.status()
+        self.trigger()
+        status = self.wait(timeout_s=timeout_s)
+        with self._closed_on_doubt():
+            ended, missed = (status.runs - before.runs) % 65536, status.late - before.late
+            if (status.state, ended, missed) != (State.DONE, 1, 0):
+                raise self._belied(Op.TRIG, status, f", with {ended} plays ended and {missed} edges missed")
+        return status
+
+    def abort(self) -> Status:
         """Close the shutter and disarm.
+
+        Returns
+        -------
+        Status
+            Read back afterwards. The state is IDLE or LOADED.
 
         Raises
         ------
         LinkError
-            If the device does not acknowledge.
+            If the device does not answer.
+        VerifyError
+            If the device is in another state.
         """
-        self.link.request(Op.ABORT)
+        try:
+            self.link.request(Op.ABORT)
+            status = self.status()
+            if status.state not in AT_REST:
+                raise self._belied(Op.ABORT, status)
+        except BaseException as error:
+            error.add_note("the shutter may still be open")
+            raise
+        return status
 
     def status(self) -> Status:
         """Ask for the state of the player.
@@ -188,8 +244,9 @@ class Controller:
             late = status.state is State.PLAY and time.monotonic() >= deadline
             if late or status.state is State.FAULT:
                 what = f"still plays after {timeout_s:g} s" if late else "reports a fault"
-                closed = "told to abort" if self.link.abort() else "and ABORT is not acknowledged: look at the shutter"
-                raise VerifyError(f"{self.link.name} {what}, {closed}")
+                error = VerifyError(f"{self.link.name} {what}, told to abort")
+                self.link.abort_after(error)
+                raise error
             if status.state is not State.PLAY:
                 return status
             time.sleep(0.001)
@@ -226,7 +283,7 @@ class Controller:
         ValueError
             If a limit is broken; the message lists all of them and nothing was sent.
         VerifyError
-            If the device holds another program than it was sent.
+            If the device holds another program than it was sent, or is not in the state it should be in.
         DeviceError, LinkError
             If the device refuses, or stops answering.
         """
@@ -235,12 +292,13 @@ class Controller:
             raise ValueError("program cannot be played: " + "; ".join(problems))
         payload = pack_arm(lease_ms)
         start, retries = time.monotonic(), self.link.retries
+        armed = False
         try:
             self.load(program, clock_ppm=clock_ppm)
             if verify:
                 self.verify(program, clock_ppm=clock_ppm)
             if arm:
-                self.link.request(Op.ARM, payload)
+                armed = self._armed(payload, self.status()).state is State.ARMED
         except WrongStateError:
             raise  # it is armed or playing for somebody: refusing is all it did, and all we do
         except BaseException as error:
@@ -256,8 +314,8 @@ class Controller:
             firmware=self.announced.firmware,
             read_back=verify,
             trust=Trust.A if verify and self.announced.firmware in PROVEN_FIRMWARE else Trust.B,
-            armed=arm,
-            lease_ms=lease_ms if arm else None,
+            armed=armed,
+            lease_ms=lease_ms if armed else None,
             clock_ppm=clock_ppm,
             warnings=_warnings(profile),
             retries=self.link.retries - retries,
@@ -276,13 +334,28 @@ class Controller:
     ) -> None:
         self.link.__exit__(kind, error, trace)
 
-    def _closed_on_doubt(self, op: Op, payload: bytes = b"") -> None:
+    def _armed(self, payload: bytes, before: Status) -> Status:
+        self.link.request(Op.ARM, payload)
+        status = self.status()
+        played = status.state is State.DONE and status.runs != before.runs
+        triggered = self.announced.trigger_input and (status.state is State.PLAY or played)
+        if status.state is not State.ARMED and not triggered:
+            lease_ms = int.from_bytes(payload, "little")
+            over = f"; its lease of {lease_ms} ms may be over" if status.state is State.LOADED else ""
+            raise self._belied(Op.ARM, status, over)
+        return status
+
+    def _belied(self, op: Op, status: Status, more: str = "") -> VerifyError:
+        return VerifyError(f"{self.link.name} acknowledged {op.name}, but is {status.state.name} afterwards{more}")
+
+    @contextmanager
+    def _closed_on_doubt(self) -> Iterator[None]:
         try:
-            self.link.request(op, payload)
+            yield
         except DeviceError:
             raise  # refused: nothing changed in the device
         except BaseException as error:
-            # No reply: it may or may not be armed or open, and closed is the only safe guess.
+            # No reply, or a wrong one: it may or may not be armed or open, and closed is the only safe guess.
             self.link.abort_after(error)
             raise
 

@@ -48,7 +48,7 @@ class UploadReport:
     firmware : str
         What the device says it runs.
     armed : bool
-        Whether the device now waits for a trigger.
+        Whether the device now waits for a trigger; it does not if one came right after arming.
     lease_ms : int or None
         After how long without a trigger an armed device disarms itself.
     clock_ppm : float

@@ -17,6 +17,7 @@ from hw.program import Program
 __all__ = ["ScpiAwg"]
 
 _MODEL = re.compile(r"33[56]\d\d[A-Z]?|EDU3321\d[A-Z]?")
+_ON, _OFF = ("1", "ON"), ("0", "OFF")
 _CLOCK = 1e-6  # what such an instrument's own clock may be off by
 
 
@@ -123,8 +124,13 @@ class ScpiAwg(BlindDevice):
 
     def _arm(self) -> None:
         # A burst that an abort cut off may still be running behind the closed output: it must not go on.
-        for command in ("BURS:STAT OFF", "BURS:STAT ON", "OUTP ON"):
+        self.link.do("BURS:STAT OFF")
+        # Without a burst the output would run freely: it is not switched on before the instrument says it has one.
+        for command, question in (("BURS:STAT ON", "BURS:STAT?"), ("OUTP ON", "OUTP?")):
             self.link.do(command)
+            answer = self.link.ask(question)
+            if answer not in _ON:
+                raise DeviceError(f"{self.name} says {answer[:40]!r} to {question} after {command}: it is not armed")
         self._armed = True
 
     def _trigger(self) -> None:
@@ -135,7 +141,7 @@ class ScpiAwg(BlindDevice):
         self.link.send("OUTP OFF")
         self.link.send("*CLS")  # errors that others made are not counted as ours
         answer = self.link.ask("OUTP?")
-        if answer not in ("0", "OFF"):
+        if answer not in _OFF:
             raise LinkError(
                 f"{self.name} says {answer[:40]!r} to OUTP?: its output must be off, look at the instrument"
             )

@@ -48,6 +48,16 @@ class Cep:
         assert "Traceback" not in self.err
         return self.err
 
+    def fails(self, *arguments):
+        """Run, expect exit code 1 and one line on stderr, and return the line."""
+        self(*arguments)
+        assert self.code == 1, (self.code, self.out, self.err)
+        assert self.out == ""
+        assert self.err.startswith("cep: ")
+        assert self.err.count("\n") == 1
+        assert "Traceback" not in self.err
+        return self.err
+
 
 @pytest.fixture
 def cep(capfd):

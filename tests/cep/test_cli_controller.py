@@ -8,7 +8,21 @@ import sys
 import time
 
 import pytest
-from emulators.cxp_controller import ARMED, LOADED, CxpController, Faults
+from emulators.cxp_controller import (
+    ABORT,
+    ARM,
+    ARMED,
+    DONE,
+    FAULT,
+    IDLE,
+    LOAD,
+    LOADED,
+    PLAY,
+    STATUS,
+    TRIG,
+    CxpController,
+    Faults,
+)  # fmt: skip
 from emulators.tools import require_simavr
 
 from hw.drivers.cxp import Controller
@@ -25,6 +39,11 @@ RASKAR = "1010000111000001010000110011110111010111001001100111"
 def controller():
     with CxpController() as device:
         yield device
+
+
+def quick(opened):
+    """Open a controller as `opened` does, but give up soon."""
+    return lambda port: opened(port, timeout_s=0.02, attempts=3)
 
 
 def test_step_by_step(cep, controller):
@@ -72,6 +91,90 @@ def test_what_cannot_be_played_is_refused_before_anything_is_loaded(cep):
         line = cep.refuses("hw", "load", "1111", "--chip-ns", "200000", "--port", device.port)
         assert "longest opening is 800 us; at most 300 us" in line
         assert device.bits == ""
+
+
+SLOW = ("1" * 100, "--chip-ns", "30000000")  # 3 s
+
+
+@pytest.mark.parametrize("state", [ARMED, PLAY, DONE, FAULT])
+def test_an_abort_that_the_state_belies_is_a_failure_that_warns_of_an_open_shutter(cep, state):
+    with CxpController(Faults(stuck_play=True, state_after={ABORT: state})) as device:
+        cep.succeeds("hw", "load", *SLOW, "--port", device.port)
+        cep.fails("hw", "abort", "--port", device.port)
+    assert "the shutter may still be open" in cep.err
+
+
+def test_an_abort_that_is_not_answered_warns_of_an_open_shutter(cep, monkeypatch):
+    monkeypatch.setattr("hw.drivers.finding.Controller.open", quick(Controller.open))
+    for lost in (ABORT, STATUS):
+        with CxpController(Faults(lost_replies={lost: 10**6})) as device:
+            cep.fails("hw", "abort", "--port", device.port)
+            assert "does not answer" in cep.err
+            assert "the shutter may still be open" in cep.err
+
+
+@pytest.mark.parametrize("state", [IDLE, LOADED, FAULT])
+@pytest.mark.parametrize("command", [("upload", *SLOW, "--arm"), ("hw", "arm")])
+def test_what_is_not_armed_is_not_said_to_be(cep, command, state):
+    with CxpController(Faults(state_after={ARM: state})) as device:
+        cep.succeeds("hw", "load", *SLOW, "--port", device.port)
+        cep.fails(*command, "--port", device.port)
+        assert "ARM" in cep.err
+        assert device.ops[-2:] == [ABORT, STATUS]
+
+
+@pytest.mark.parametrize("command", [("upload", *SLOW, "--arm"), ("hw", "arm")])
+def test_a_trigger_right_after_arming_is_no_failure_but_nothing_is_armed_any_more(cep, command):
+    faults = Faults(stuck_play=True, state_after={ARM: PLAY})
+    for trigger_input in (True, False):
+        with CxpController(faults, trigger_input=trigger_input) as device:
+            port = ("--port", device.port)
+            cep.succeeds("hw", "load", *SLOW, *port)
+            if not trigger_input:
+                cep.fails(*command, *port)  # nothing but itself has begun this play
+                assert device.state == LOADED
+                continue
+            assert not cep.succeeds(*command, *port)["armed"]
+            cep.succeeds("hw", "abort", *port)
+            cep.succeeds("hw", "load", *SLOW, *port)
+            assert "triggered already" in cep(*command, *port).out
+            assert device.state == PLAY
+
+
+def test_a_done_of_an_earlier_play_does_not_count_as_armed(cep):
+    with CxpController(Faults(state_after={ARM: DONE})) as device:
+        cep.succeeds("hw", "load", "101", "--chip-ns", "200000", "--port", device.port)
+        device.state = DONE
+        cep.fails("hw", "arm", "--port", device.port)
+
+
+@pytest.mark.parametrize("state", [IDLE, LOADED, ARMED, DONE])
+@pytest.mark.parametrize("command", ["upload", "trigger"])
+def test_what_was_not_played_is_not_said_to_be(cep, command, state):
+    with CxpController(Faults(state_after={TRIG: state})) as device:
+        port = ("--port", device.port)
+        if command == "trigger":
+            cep.succeeds("upload", *SLOW, *port, "--arm")
+            cep.fails("hw", "trigger", *port)
+        else:
+            cep.fails("upload", *SLOW, *port, "--play")
+        assert "TRIG" in cep.err
+        assert device.ops[-2:] == [ABORT, STATUS]
+
+
+@pytest.mark.parametrize("state", [IDLE, ARMED, PLAY, DONE, FAULT])
+@pytest.mark.parametrize("command", [("upload",), ("hw", "load")])
+def test_what_is_not_loaded_is_not_said_to_be(cep, command, state):
+    with CxpController(Faults(stuck_play=True, state_after={LOAD: state})) as device:
+        cep.fails(*command, *SLOW, "--port", device.port)
+        assert "LOAD" in cep.err
+        assert (device.state, device.ops[-2:]) == (LOADED, [ABORT, STATUS])
+
+
+def test_a_failure_whose_abort_is_not_obeyed_warns_of_an_open_shutter(cep):
+    with CxpController(Faults(stuck_play=True, state_after={ARM: FAULT, ABORT: PLAY})) as device:
+        cep.fails("upload", *SLOW, "--port", device.port, "--arm")
+        assert "the shutter may still be open" in cep.err
 
 
 def test_the_clock_is_measured(cep):

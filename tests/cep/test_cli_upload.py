@@ -91,13 +91,13 @@ def test_a_report_that_cannot_be_written_leaves_nothing_armed(cep, workplace, co
 def test_ctrl_c_that_the_controller_does_not_acknowledge_is_told(cep, workplace, controller, monkeypatch):
     def interrupted(*_, **__):
         error = KeyboardInterrupt()
-        error.add_note("ttyX did not acknowledge ABORT: look whether the shutter is closed")
+        error.add_note("ttyX did not confirm ABORT: the shutter may still be open")
         raise error
 
     monkeypatch.setattr("hw.drivers.cxp.Controller.upload", interrupted)
     assert cep("upload", "code.json", "--port", controller.port).code == 130
     assert cep.err.splitlines() == [
-        "cep: warning: ttyX did not acknowledge ABORT: look whether the shutter is closed", "cep: interrupted",
+        "cep: warning: ttyX did not confirm ABORT: the shutter may still be open", "cep: interrupted",
     ]  # fmt: skip
 
 

@@ -42,6 +42,7 @@ class Faults:
     deaf_on: str | None = None  # message or header from which on nothing is answered
     rate_factor: float = 1.0  # the rate taken silently differs by this
     refuse: dict[str, int] = field(default_factory=dict)  # message begins with -> error number
+    ignore: str | None = None  # message that is taken without an error and does nothing
 
 
 class Awg:
@@ -173,6 +174,8 @@ class Awg:
                 for start, number in self.faults.refuse.items():
                     if text.startswith(start):
                         raise ScpiError(number)
+                if text == self.faults.ignore:
+                    continue
                 answer, path = self._unit(unit.strip(b" \t\r"), path)
             except ScpiError as error:
                 self.errors.append(error.args[0])

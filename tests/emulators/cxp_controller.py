@@ -42,6 +42,7 @@ class Faults:
     stored_flip: int | None = None  # stored bit that goes wrong after LOAD
     stored_crc_wrong: bool = False
     stuck_play: bool = False
+    state_after: dict[int, int] = field(default_factory=dict)  # op -> state it is in afterwards, whatever it should be
     fault: bool = False  # every play misses an edge
 
 
@@ -61,11 +62,12 @@ class CxpController:
         firmware: str = "cxp-avr 1",
         text: bool = False,
         clock_ppm: float = 0.0,
+        trigger_input: bool = True,
     ) -> None:
         self.faults = faults or Faults()
         self.max_chips, self.tick_ns, self.min_ticks, self.max_ticks = max_chips, tick_ns, min_ticks, max_ticks
         self.max_on_ticks, self.max_duty, self.firmware, self.text = max_on_ticks, max_duty, firmware, text
-        self.clock_ppm, self.boot = clock_ppm, time.monotonic()
+        self.clock_ppm, self.boot, self.trigger_input = clock_ppm, time.monotonic(), trigger_input
         self.rng = random.Random(self.faults.seed)
         self.bad_crc_left = self.faults.bad_crc_replies
         self.wrong_seq_left = self.faults.wrong_seq_replies
@@ -173,6 +175,8 @@ class CxpController:
             self._tick()
             self.ops.append(op)
             error, data = self._do(op, payload)
+            if not error and op in self.faults.state_after:
+                self.state, self.lease_end = self.faults.state_after[op], time.monotonic() + 60
             self.last_request = (op, seq, crc)
             self.last_reply = bytes([op | 0x80, seq, error]) + data
         self.mute = self.mute or op == self.faults.silent_after
@@ -206,7 +210,8 @@ class CxpController:
         if (op in (HELLO, READ, TRIG, ABORT, STATUS) and payload) or (op == ARM and len(payload) != 2):
             return 2, b""
         if op == HELLO:
-            told = (self.faults.version, 3, self.max_chips, self.tick_ns, self.min_ticks, self.max_ticks)
+            flags = 1 | self.trigger_input << 1
+            told = (self.faults.version, flags, self.max_chips, self.tick_ns, self.min_ticks, self.max_ticks)
             limits = (self.max_on_ticks, self.max_duty, 20_000, 0)
             return 0, self.faults.magic + struct.pack("<BBHHIIIHIB", *told, *limits) + self.firmware.encode()
         if op == LOAD:

@@ -4,7 +4,22 @@ import time
 from pathlib import Path
 
 import pytest
-from emulators.cxp_controller import ABORT, ARM, ARMED, IDLE, LOAD, LOADED, PLAY, READ, TRIG, CxpController, Faults
+from emulators.cxp_controller import (
+    ABORT,
+    ARM,
+    ARMED,
+    DONE,
+    FAULT,
+    IDLE,
+    LOAD,
+    LOADED,
+    PLAY,
+    READ,
+    STATUS,
+    TRIG,
+    CxpController,
+    Faults,
+)
 from emulators.scripted_port import imported_with
 
 from hw.cxp.protocol import State
@@ -35,7 +50,7 @@ def test_upload_reads_back_and_reports():
         assert controller.status().state is State.LOADED
     assert device.bits == RASKAR
     assert device.ticks == 400
-    assert device.ops[1:4] == [LOAD, READ, 7]
+    assert device.ops[1:5] == [LOAD, STATUS, READ, STATUS]
     assert (report.port, report.chips, report.chip_ns, report.pulses) == (device.port, 52, 200_000, 13)
     assert (report.duration_ns, report.code_crc32) == (PROGRAM.duration_ns, PROGRAM.code_crc32)
     assert (report.trust, report.armed, report.lease_ms) == (Trust.A, False, None)
@@ -69,8 +84,7 @@ def test_armed_device_stays_armed_after_a_normal_end_and_its_lease_ends_that():
 def test_play_once():
     with CxpController() as device, Controller.open(device.port, **FAST) as controller:
         controller.upload(PROGRAM, arm=True)
-        controller.trigger()
-        status = controller.wait(timeout_s=10)
+        status = controller.play(timeout_s=10)
         assert (status.state, status.runs, status.late) == (State.DONE, 1, 0)
         with pytest.raises(WrongStateError, match="refuses TRIG"):
             controller.trigger()
@@ -283,7 +297,7 @@ def test_an_unanswered_arm_or_trigger_is_aborted(op):
         with pytest.raises(LinkError, match="does not answer") as caught:
             play(controller)
         assert not hasattr(caught.value, "__notes__")
-        assert device.ops[-2:] == [op, ABORT]
+        assert device.ops[-3:] == [op, ABORT, STATUS]
         assert device.state == LOADED
         controller.close()
 
@@ -294,7 +308,7 @@ def test_unacknowledged_abort_is_said_on_the_exception():
         with pytest.raises(LinkError, match="does not answer TRIG") as caught, controller:
             play(controller)
         assert len(caught.value.__notes__) == 1
-        assert "did not acknowledge ABORT" in caught.value.__notes__[0]
+        assert "the shutter may still be open" in caught.value.__notes__[0]
         assert ABORT in device.ops
         assert not device.shutter_open
 
@@ -309,6 +323,20 @@ def test_unplugged_midway_is_one_clear_line(op):
         assert not controller.link.is_open
         assert not controller.link.abort()
     assert device.plays == []
+
+
+@pytest.mark.parametrize("state", [ARMED, PLAY, DONE, FAULT])
+def test_an_abort_counts_only_when_the_state_says_so(state):
+    with CxpController(Faults(stuck_play=True, state_after={ABORT: state})) as device:
+        with Controller.open(device.port, **FAST) as controller:
+            controller.load(SLOW)
+            with pytest.raises(VerifyError, match="acknowledged ABORT") as caught:
+                controller.abort()
+            assert caught.value.__notes__ == ["the shutter may still be open"]
+            device.state = IDLE
+        with pytest.raises(RuntimeError, match="mine") as left, Controller.open(device.port, **FAST) as controller:
+            play(controller, then=RuntimeError("mine"))
+        assert "the shutter may still be open" in left.value.__notes__[0]
 
 
 def test_a_play_that_never_ends_is_aborted():

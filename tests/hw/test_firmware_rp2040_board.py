@@ -122,7 +122,7 @@ def test_abort_and_the_end_of_the_lease(pico):
         edges = pico.ask("edges", 15)
         assert [level for _, level in edges] == [1, 0]
         assert 8 * (edges[1][0] - edges[0][0]) < 50_000_000
-        controller.arm(lease_ms=10)
+        controller.link.request(Op.ARM, pack_arm(10))
         while controller.status().state is not State.LOADED:
             pass
         pico.ask("input", 14, 1)

@@ -12,7 +12,7 @@ import pytest
 from emulators.microbit.shrink import pieces
 from emulators.tools import give_up, require_tool
 
-from hw.cxp.protocol import State
+from hw.cxp.protocol import Op, State, pack_arm
 from hw.drivers.cxp import Controller
 from hw.drivers.report import Trust
 from hw.errors import WrongStateError
@@ -75,7 +75,7 @@ def test_abort_lease_and_refusals(microbit):
         controller.abort()
         assert controller.status().state is State.LOADED
         assert microbit.events(PIN0)[before:] == [1, 0]
-        controller.arm(lease_ms=5)
+        controller.link.request(Op.ARM, pack_arm(5))
         while controller.status().state is State.ARMED:
             pass
         assert controller.status().state is State.LOADED

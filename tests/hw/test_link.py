@@ -25,11 +25,15 @@ BINARY_SCRIPT = (
         "0c 63 78 70 2d 61 76 72 20 31 b0 ed 00",
     ),
     ("05 02 02 90 01 01 01 01 02 0c 05 b0 70 89 96 00", "03 82 02 07 e0 94 4c cb 01 b1 00"),
-    ("05 03 03 3f 78 00", "03 83 03 03 90 01 01 01 01 02 0c 05 b0 70 bf e3 00"),
-    ("07 04 04 88 13 92 22 00", "03 84 04 03 c2 e7 00"),
-    ("05 05 05 5f b2 00", "03 85 05 03 c3 e3 00"),
-    ("05 07 06 5e e4 00", "03 87 06 03 03 05 02 02 01 05 01 87 d6 12 07 e0 94 4c cb 86 f3 00"),
-    ("05 06 07 4e c7 00", "03 86 07 03 f1 dc 00"),
+    ("05 07 03 fb b4 00", "03 87 03 02 01 01 02 02 01 05 01 87 d6 12 07 e0 94 4c cb f1 6b 00"),
+    ("05 03 04 d8 08 00", "03 83 04 03 90 01 01 01 01 02 0c 05 b0 70 f4 eb 00"),
+    ("05 07 05 3d d4 00", "03 87 05 02 01 01 02 02 01 05 01 87 d6 12 07 e0 94 4c cb bd 09 00"),
+    ("07 04 06 88 13 f2 4c 00", "03 84 06 03 a0 81 00"),
+    ("05 07 07 7f f4 00", "03 87 07 02 02 01 02 02 01 05 01 87 d6 12 07 e0 94 4c cb 5c cb 00"),
+    ("05 05 08 f2 63 00", "03 85 08 03 9f 95 00"),
+    ("05 07 09 b1 15 00", "03 87 09 03 03 05 02 02 01 05 01 87 d6 12 07 e0 94 4c cb 38 06 00"),
+    ("05 06 0a e3 16 00", "03 86 0a 03 ad aa 00"),
+    ("05 07 0b f3 35 00", "03 87 0b 02 01 01 02 02 01 05 01 87 d6 12 07 e0 94 4c cb e1 ec 00"),
 )
 TEXT_SCRIPT = (
     (b"\0".hex() + "05 01 01 1f 3e 00", ""),
@@ -38,11 +42,15 @@ TEXT_SCRIPT = (
         b":8101004358503101030004F40164000000FFFF000000000000E803204E0000006378702D6176722031B0ED\r\n".hex(),
     ),
     (b":02029001000000000C00B0708996\n".hex(), b":820200E0944CCB01B1\r\n".hex()),
-    (b":03033F78\n".hex(), b":8303009001000000000C00B070BFE3\n".hex()),
-    (b":040488139222\n".hex(), b":840400C2E7\n".hex()),
-    (b":05055FB2\n".hex(), b":850500C3E3\n".hex()),
-    (b":07065EE4\n".hex(), b":8706000305000200000187D61200E0944CCB86F3\n".hex()),
-    (b":06074EC7\n".hex(), b":860700F1DC\n".hex()),
+    (b":0703FBB4\n".hex(), b":8703000100000200000187D61200E0944CCBF16B\r\n".hex()),
+    (b":0304D808\n".hex(), b":8304009001000000000C00B070F4EB\r\n".hex()),
+    (b":07053DD4\n".hex(), b":8705000100000200000187D61200E0944CCBBD09\r\n".hex()),
+    (b":04068813F24C\n".hex(), b":840600A081\r\n".hex()),
+    (b":07077FF4\n".hex(), b":8707000200000200000187D61200E0944CCB5CCB\r\n".hex()),
+    (b":0508F263\n".hex(), b":8508009F95\r\n".hex()),
+    (b":0709B115\n".hex(), b":8709000305000200000187D61200E0944CCB3806\r\n".hex()),
+    (b":060AE316\n".hex(), b":860A00ADAA\r\n".hex()),
+    (b":070BF335\n".hex(), b":870B000100000200000187D61200E0944CCBE1EC\r\n".hex()),
 )
 
 
@@ -54,10 +62,10 @@ def test_transcript_of_every_op_byte_for_byte(script):
         assert controller.announced == unpack_hello(HELLO_DATA)
         assert controller.load(PROGRAM) == Stored(PROGRAM.bits, 400, 0)
         assert controller.read() == Stored(PROGRAM.bits, 400, 0)
-        controller.arm(lease_ms=5000)
+        assert controller.arm(lease_ms=5000).state is State.ARMED
         controller.trigger()
         assert controller.status() == Status(State.PLAY, 5, 2, 0, 1, 1_234_567, 0xCB4C94E0)
-        controller.abort()
+        assert controller.abort().state is State.LOADED
     assert port.exchanges == []
     assert port.waiting == b""
     assert port.closed

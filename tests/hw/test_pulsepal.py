@@ -392,9 +392,7 @@ def test_silence_midway_is_said_and_the_missing_abort_too(op):
         with pytest.raises(LinkError, match="does not answer") as caught:
             driver.upload(PROGRAM, arm=True)
         assert "\n" not in str(caught.value)
-        assert caught.value.__notes__ == [
-            f"{device.port} did not acknowledge ABORT: look whether the shutter is closed"
-        ]
+        assert caught.value.__notes__ == [f"{device.port} did not confirm ABORT: the shutter may still be open"]
         assert until(lambda: device.ops[-1] == 72)
         assert ABORT in device.ops
         with pytest.raises(WrongStateError):

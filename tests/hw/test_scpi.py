@@ -83,7 +83,7 @@ def test_upload_sends_these_messages_and_no_others():
         "BURS:MODE TRIG", "BURS:NCYC 1", "BURS:PHAS 0",
         "TRIG:SOUR EXT", "TRIG:SLOP POS", "TRIG:DEL 0", "BURS:STAT ON",
         "FUNC:ARB:SRAT?",
-        "BURS:STAT OFF", "BURS:STAT ON", "OUTP ON", "TRIG",
+        "BURS:STAT OFF", "BURS:STAT ON", "BURS:STAT?", "OUTP ON", "OUTP?", "TRIG",
         "OUTP OFF", "*CLS", "OUTP?",
     ]  # fmt: skip
     assert device.messages.count("SYST:ERR?") == 25  # one after each command but those of ABORT
@@ -287,6 +287,18 @@ def test_an_output_that_does_not_go_off_is_said():
         assert len(caught.value.__notes__) == 1
 
 
+@pytest.mark.parametrize(("ignored", "asked"), [("OUTP ON", "OUTP?"), ("BURS:STAT ON", "BURS:STAT?")])
+def test_what_is_not_armed_is_not_said_to_be_and_is_switched_off(ignored, asked):
+    with Awg(Faults(ignore=ignored)) as device, ScpiAwg.open(device.resource) as awg:
+        with pytest.raises(DeviceError) as caught:
+            awg.upload(PROGRAM, arm=True)
+        assert asked in str(caught.value)
+        assert not device.output
+        assert device.free_runs == 0
+        with pytest.raises(WrongStateError):
+            awg.trigger()
+
+
 def test_refused_data_and_errors_of_others():
     with (
         Awg(Faults(refuse={"DATA:ARB SHUTTER": 786})) as device,
@@ -307,7 +319,7 @@ def test_an_instrument_that_disappears_is_one_clear_line(start):
             awg.upload(PROGRAM, arm=True)
         assert "\n" not in str(caught.value)
         assert [note.partition(" did")[2] for note in caught.value.__notes__] == [
-            " not acknowledge ABORT: look whether the shutter is closed"
+            " not confirm ABORT: the shutter may still be open"
         ]
         with pytest.raises(WrongStateError):
             awg.trigger()
