@@ -21,7 +21,12 @@ __all__ = ["verify"]
 def verify(
     code: CodeSource,
     port: Annotated[str | None, typer.Option("--port", "-p", help="Read it back from the controller there.")] = None,
-    vcd: Annotated[Path | None, typer.Option("--vcd", help="Compare a logic analyser's recording.")] = None,
+    capture: Annotated[
+        Path | None,
+        typer.Option(
+            "--capture", "--vcd", help="Compare a logic analyser's recording: VCD, or a CSV export of Saleae Logic."
+        ),
+    ] = None,
     signal: Annotated[
         str | None, typer.Option("--signal", help="Shutter's signal in the recording; the busiest one without.")
     ] = None,
@@ -37,26 +42,26 @@ def verify(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Compare a code with what the controller holds (--port), or with what its shutter really played (--vcd).
+    """Compare a code with what the controller holds (--port), or with what its shutter really played (--capture).
 
     A recording gives each play's chips, clock error and jitter, and with a motion the PSF as achieved, which cep deblur
     takes. Exit code 1 when anything differs.
 
-    Example: cep hw verify code.json --vcd capture.vcd --trajectory trajectory.json -o played.json
+    Example: cep hw verify code.json --capture capture.vcd --trajectory trajectory.json -o played.json
     """
-    if (port is None) == (vcd is None):
-        raise ValueError("--port PORT or --vcd FILE: exactly one of them is needed")
+    if (port is None) == (capture is None):
+        raise ValueError("--port PORT or --capture FILE: exactly one of them is needed")
     program, _ = load_program(code, chip_ns=chip_ns, device=None)
     if port is not None:
         _held(program, port, clock_ppm=clock_ppm, as_json=as_json)
         return
-    assert vcd is not None
-    from hw.recordings.capture import read_vcd
+    assert capture is not None
+    from hw.recordings.capture import read_capture
     from hw.recordings.playback import align
 
     motion = None if trajectory is None and linear is None else load_motion(trajectory, linear).trajectory
     _claim(output, with_psf=motion is not None, force=force)
-    recording = read_vcd(vcd)
+    recording = read_capture(capture)
     trace = recording.trace(signal)
     plays = align(trace, program, trigger=recording.trace(trigger) if trigger else None)
     written: list[Path] = []
@@ -64,11 +69,11 @@ def verify(
         written = _write(output, plays[0], program, motion)
     wrong = [(index, play) for index, play in enumerate(plays, start=1) if play.problems or not play.same_bits]
     result = {
-        "file": vcd, "signal": trace.name, **program_figures(program, None), "played": not wrong,
+        "file": capture, "signal": trace.name, **program_figures(program, None), "played": not wrong,
         "plays": [_figures(play) for play in plays], "files": written,
     }  # fmt: skip
     finish(result, as_json=as_json, show=lambda console: console.print(
-        table(f"{vcd}, {trace.name}", ("play", "clock, ppm", "jitter, ns", "worst edge, ns", "same bits"), [
+        table(f"{capture}, {trace.name}", ("play", "clock, ppm", "jitter, ns", "worst edge, ns", "same bits"), [
             (f"{index} at {play.start_ns / 1e6:.4f} ms", -play.scale_ppm, play.jitter_ns, play.worst_ns,
              "yes" if play.same_bits else "no") for index, play in enumerate(plays, start=1)
         ])

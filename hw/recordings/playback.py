@@ -10,8 +10,8 @@ from math import sqrt
 from statistics import fmean
 
 from hw.program import Program
-from hw.recordings.capture import Trace
 from hw.recordings.edge_fit import EdgeFit, fit_edges
+from hw.recordings.trace import Trace
 
 __all__ = ["Verification", "align"]
 

@@ -8,6 +8,7 @@ import pytest
 from emulators.cxp_controller import CxpController
 
 from cep.files import read_code
+from hw.program import Program
 
 CODE = ("110100100011", "--chip-ns", "200000")
 
@@ -58,6 +59,22 @@ def test_another_code_is_a_failure_of_one_line(cep, recording):
     assert cep.err.startswith("cep: play 1: another code was played: 1 of 12 chips differ, first chip 10;")
     assert cep.err.count("\n") == 1
     assert read_code("seen.json").code.bits == CODE[0]  # what was played can be used all the same
+
+
+@pytest.mark.parametrize("option", ["--capture", "--vcd"])
+def test_an_export_of_saleae_logic_is_a_recording_too(cep, workplace, option):
+    program = Program(CODE[0], 200_000)
+    rows = [(0, 0, 1), *((10**7 + at, level, 1) for at, level in program.edges)]
+    text = "Time [s],LC shutter,Channel 1\n" + "".join(f"{at / 1e9:.9f},{a},{b}\n" for at, a, b in rows)
+    Path("digital.csv").write_text(text)
+    found = cep.succeeds("hw", "verify", *CODE, option, "digital.csv", "--signal", "LC shutter", "-o", "seen.json")
+    assert (found["file"], found["signal"], found["played"]) == ("digital.csv", "LC shutter", True)
+    assert found["plays"][0]["start_ns"] == pytest.approx(10**7, abs=1e-3)
+    assert read_code("seen.json").code.bits == CODE[0]
+    assert "no signal 'D7'" in cep.refuses("hw", "verify", *CODE, option, "digital.csv", "--signal", "D7")
+    Path("digital.csv").write_text(text[:-3])
+    assert "digital.csv: line" in cep.refuses("hw", "verify", *CODE, option, "digital.csv", "-o", "cut.json")
+    assert not Path("cut.json").exists()
 
 
 def test_bad_recordings_and_options(cep, recording):

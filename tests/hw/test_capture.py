@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 
 from hw.export import EXPORTERS
 from hw.program import Program
-from hw.recordings.capture import Trace, parse_vcd, read_vcd
+from hw.recordings.capture import read_capture
 from hw.recordings.playback import align
+from hw.recordings.trace import Trace
+from hw.recordings.vcd import parse_vcd
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 PROGRAM = Program(RASKAR, 200_000)
@@ -347,7 +349,7 @@ def test_what_is_no_vcd_gets_one_clear_line(tmp_path, text, words):
     if words is None:
         words = "goes back in time"
     with pytest.raises(ValueError, match=words) as caught:
-        read_vcd(path)
+        read_capture(path)
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(str(path))
 
@@ -356,11 +358,11 @@ def test_unreadable_files_get_one_clear_line(tmp_path):
     session = tmp_path / "capture.sr"
     session.write_bytes(b"PK\x03\x04\xff\xfe\x00\x80")
     with pytest.raises(ValueError, match="is no text: save or export the capture as VCD"):
-        read_vcd(session)
+        read_capture(session)
     with pytest.raises(ValueError, match="No such file"):
-        read_vcd(tmp_path / "missing.vcd")
+        read_capture(tmp_path / "missing.vcd")
     with pytest.raises(ValueError, match="cannot be read"):
-        read_vcd(tmp_path)
+        read_capture(tmp_path)
 
 
 def test_signals_are_found_by_name_or_by_being_busy():
@@ -403,7 +405,7 @@ def test_a_vcd_written_by_sigrok(tmp_path, downsample):
     (tmp_path / "code.vcd").write_text(EXPORTERS["vcd"].export(PROGRAM))
     command = ["sigrok-cli", "-I", f"vcd:downsample={downsample}", "-i", "code.vcd", "-O", "vcd", "-o", "seen.vcd"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
-    recording = read_vcd(tmp_path / "seen.vcd")
+    recording = read_capture(tmp_path / "seen.vcd")
     assert [trace.name for trace in recording.traces] == ["libsigrok.shutter", "libsigrok.gate"]
     found = _only(recording.trace("shutter"), trigger=recording.trace("gate"))
     assert (found.achieved, found.problems) == (RASKAR, ())
@@ -415,4 +417,4 @@ def test_a_vcd_with_the_mark_of_windows_programs(tmp_path):
     text = EXPORTERS["vcd"].export(PROGRAM)
     (tmp_path / "plain.vcd").write_text(text)
     (tmp_path / "marked.vcd").write_text(text, encoding="utf-8-sig")
-    assert read_vcd(tmp_path / "marked.vcd").traces == read_vcd(tmp_path / "plain.vcd").traces
+    assert read_capture(tmp_path / "marked.vcd").traces == read_capture(tmp_path / "plain.vcd").traces

@@ -1,0 +1,33 @@
+"""Files that a logic analyser's software writes, told apart by their content."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hw.recordings.saleae import is_saleae, parse_saleae
+from hw.recordings.trace import Recording
+from hw.recordings.vcd import parse_vcd
+
+__all__ = ["read_capture"]
+
+
+def read_capture(path: str | Path) -> Recording:
+    """Read a VCD file, or a digital CSV export of Saleae Logic.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read or is neither.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")  # Windows programs write a mark first
+    except UnicodeDecodeError:
+        raise ValueError(
+            f"{path} is no text: save or export the capture as VCD (value change dump), or from Saleae Logic as CSV"
+        ) from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise ValueError(f"{path} cannot be read: {reason}; name a VCD file, or a CSV export of Saleae Logic") from None
+    if Path(path).suffix.lower() == ".csv" or is_saleae(text):
+        return parse_saleae(text, source=str(path))
+    return parse_vcd(text, source=str(path))
