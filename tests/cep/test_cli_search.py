@@ -11,6 +11,8 @@ from cep.code import ShutterCode
 from cep.files import read_code
 from hw.device import load_profile
 from hw.program import Program
+from motdiff.files import StoredMotion, write_motion
+from motdiff.trajectory import Trajectory
 
 
 def test_exact_proves_the_best_and_audit_confirms_it(cep, workplace):
@@ -155,11 +157,32 @@ def test_nothing_to_choose_takes_no_time(cep, workplace):
 
 
 def test_starts_from_the_relaxation(cep, workplace):
-    options = ("optimize", "--trajectory", "trajectory.json", "--chips", "10", "--open", "5", "--steps", "2000")
-    found = cep.succeeds(*options, "--objective", "noise", "--bound", "sdp", "-o", "sdp.json")
-    quick = cep.succeeds(*options, "--objective", "noise", "-o", "quick.json")
-    assert found["bound"] >= quick["bound"] - 1e-9
-    assert found["noise_gain_db"] >= found["bound"]
+    """One move leaves the search no better than its starts: those drawn from the relaxation win over random ones."""
+    x = 9 * np.linspace(0, 1, 12) ** 2
+    write_motion("faster.json", StoredMotion(Trajectory.from_samples(np.stack([x, 0.5 * x], 1))))
+    options = ("optimize", "--trajectory", "faster.json", "--direction", "forward", "--chips", "30", "--open", "15")
+    options += ("--objective", "min-mtf", "--steps", "1", "--seed", "1", "--force")
+    plain, started = cep.succeeds(*options), cep.succeeds(*options, "--bound", "sdp")
+    assert started["objective"] < plain["objective"] - 0.1
+    assert started["min_mtf"] <= started["bound"]
+
+
+@pytest.mark.parametrize(
+    ("motion", "objective"),
+    [
+        ("straight", "noise"),
+        ("curved", "min-mtf"),
+        pytest.param("curved", "noise", marks=pytest.mark.slow(reason="relaxes a mean over all samples of the band")),
+    ],
+)
+def test_a_relaxation_bounds_more_tightly(cep, workplace, motion, objective):
+    along = {"straight": ("--linear", "10"), "curved": ("--trajectory", "trajectory.json", "--direction", "forward")}
+    options = ("optimize", *along[motion], "--chips", "8", "--open", "4", "--steps", "500", "--objective", objective)
+    quick, tight = cep.succeeds(*options, "--force"), cep.succeeds(*options, "--force", "--bound", "sdp")
+    if objective == "noise":  # dB: no code has less than the bound
+        assert quick["bound"] + 0.1 < tight["bound"] <= tight["noise_gain_db"]
+    else:
+        assert tight["min_mtf"] <= tight["bound"] < 0.9 * quick["bound"]
 
 
 def test_a_comparison_that_the_time_ended_is_told(cep, workplace, monkeypatch):

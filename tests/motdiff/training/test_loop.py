@@ -1,4 +1,4 @@
-"""The training loop: exact after a resume, the paper's loss on a window, and a network that learns eight photos."""
+"""The training loop: exact after a resume, the paper's loss on a window, and a network that learns four photos."""
 
 import itertools
 import math
@@ -382,19 +382,20 @@ def test_timesteps_are_uniform(batch):
 # ---- learning
 
 
-def test_a_small_network_learns_eight_photos():
+@pytest.mark.slow(reason="130 updates of a network, which must remember the paths to the pixel")
+def test_a_small_network_learns_four_photos():
     """What it is shown are correlations of the blurred photos alone; what it then draws from noise are their paths."""
     draw = torch.Generator().manual_seed(0)
-    blocks = torch.randint(0, 256, (8, 3, 64, 64), generator=draw).to(torch.uint8)
+    blocks = torch.randint(0, 256, (4, 3, 64, 64), generator=draw).to(torch.uint8)
     scenes = list(blocks.repeat_interleave(5, 2).repeat_interleave(5, 3))
     mix = MotionMix(boracchi_foi=0, straight=0.5, quadratic=0.5, min_length_px=10, max_length_px=20)
-    bank = build_bank(mix, count=8, seed=3)
-    eight = simulate(bank, scenes, torch.arange(8), photography=Photography(), physics=False, seed=1)
-    physics = spectral_maps(eight.photos.mean(dim=1, keepdim=True))
+    bank = build_bank(mix, count=4, seed=3)
+    four = simulate(bank, scenes, torch.arange(4), photography=Photography(), physics=False, seed=1)
+    physics = spectral_maps(four.photos.mean(dim=1, keepdim=True))
 
-    class Eight:
+    class Four:
         def batch(self, step, size, *, rank=0):
-            return Batch(None, physics, eight.x0, eight.dwell)
+            return Batch(None, physics, four.x0, four.dwell)
 
     trainer = Trainer(
         config(
@@ -402,19 +403,23 @@ def test_a_small_network_learns_eight_photos():
                 TINY, physics_width=16, denoiser_width=32, decoder_widths=(32, 16), time_width=128, dropout=0.0
             ),
             optimiser=OptimiserConfig(
-                steps=220, batch=8, rate=1.2e-2, last_rate=1e-5, warm_up=20, ema=0.98, window=32, seed=0
+                steps=130, batch=4, rate=1.2e-2, last_rate=1e-5, warm_up=10, ema=0.98, window=32, seed=0
             ),
             path_weight=1.0,
         )
     )
     torch.set_flush_denormal(True)  # what is left of dead channels costs a fifth of the time
     try:
-        train(trainer, 220, Eight())
+        train(trainer, 130, Four())
     finally:
         torch.set_flush_denormal(False)
-    with torch.no_grad():
-        condition = trainer.average.condition(None, physics)
-    drawn = sample_paths(trainer.average, condition, count=1, schedule=trainer.schedule, steps=10, generator=draw)
-    found, truth = drawn.path > 0.5, eight.x0 > 0.5
-    iou = (found & truth).sum(dim=(1, 2, 3)) / (found | truth).sum(dim=(1, 2, 3))
-    assert iou.mean() > 0.9
+
+    def agreement(maps):
+        with torch.no_grad():
+            condition = trainer.average.condition(None, maps)
+        drawn = sample_paths(trainer.average, condition, count=1, schedule=trainer.schedule, steps=10, generator=draw)
+        found, truth = drawn.path > 0.5, four.x0 > 0.5
+        return (found & truth).sum(dim=(1, 2, 3)) / (found | truth).sum(dim=(1, 2, 3))
+
+    assert agreement(physics).mean() > 0.85  # 0.93 to 1.00 with the seeds 0 to 3
+    assert agreement(physics.roll(1, dims=0)).max() < 0.3  # of another photo it draws another path
