@@ -1,9 +1,12 @@
 """A command line that tests call in their own process, and small inputs for it."""
 
+import functools
 import json
+import shutil
 
 import numpy as np
 import pytest
+import typer
 
 from cep.cli.main import main
 from cep.code import ShutterCode
@@ -59,21 +62,37 @@ class Cep:
         return self.err
 
 
+@pytest.fixture(scope="session")
+def commands_built_once():
+    """Typer builds the parsers of all commands anew at every call, which takes longer than most commands that fail."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", functools.cache(typer.main.get_command))
+        yield
+
+
 @pytest.fixture
-def cep(capfd):
+def cep(capfd, commands_built_once):
     return Cep(capfd)
 
 
-@pytest.fixture
-def workplace(tmp_path, monkeypatch):
-    """A folder with a sharp and a blurred photo, a bent trajectory, and a code; the process works in it."""
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(scope="session")
+def small_inputs(tmp_path_factory):
+    """A folder with a sharp and a blurred photo, a bent trajectory, and a code, to be copied from."""
+    folder = tmp_path_factory.mktemp("inputs")
     rng = np.random.default_rng(0)
     blocks = np.kron(rng.random((24, 28)), np.ones((8, 8)))
     sharp = 0.1 + 0.8 * blocks
     motion = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
-    write_image("sharp.png", sharp, bits=16)
-    write_image("blurred.png", blur_valid(sharp, motion.psf(motion.frame_size() | 1)), bits=16)
-    write_motion("trajectory.json", StoredMotion(motion, source={"method": "test"}))
-    write_code("code.json", StoredCode(ShutterCode("1101000101101111", 250_000)))
+    write_image(folder / "sharp.png", sharp, bits=16)
+    write_image(folder / "blurred.png", blur_valid(sharp, motion.psf(motion.frame_size() | 1)), bits=16)
+    write_motion(folder / "trajectory.json", StoredMotion(motion, source={"method": "test"}))
+    write_code(folder / "code.json", StoredCode(ShutterCode("1101000101101111", 250_000)))
+    return folder
+
+
+@pytest.fixture
+def workplace(small_inputs, tmp_path, monkeypatch):
+    """A folder of the test's own with copies of the small inputs; the process works in it."""
+    shutil.copytree(small_inputs, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
     return tmp_path
