@@ -24,7 +24,8 @@ class PhotoEncoder(nn.Module):
     Parameters
     ----------
     config : NetworkConfig
-        With a backbone "b0" .. "b5". For features "f2" only two of the backbone's stages are built.
+        With a backbone "b0" .. "b5". For features "f2" only two of the backbone's stages are built. With `photo_pool` 2
+        all this happens at half the size, and z1 is interpolated.
 
     References
     ----------
@@ -37,7 +38,7 @@ class PhotoEncoder(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         used = {"multi": (0, 1, 2, 3), "f2": (1,), "f4": (3,)}[config.features]
-        self.used = used
+        self.used, self.pool = used, config.photo_pool
         self.backbone = PyramidVisionTransformer(config.backbone, stages=used[-1] + 1)
         self.emphasis = nn.ModuleList(LocalEmphasis(self.backbone.channels[i], config.width) for i in used)
         self.aggregation = StepwiseAggregation(len(used), config.width)
@@ -45,16 +46,17 @@ class PhotoEncoder(nn.Module):
         self.register_buffer("std", torch.tensor(_IMAGENET_STD)[:, None, None], persistent=False)
 
     def forward(self, photo: Tensor) -> Tensor:
-        """Encode photos (B, 3, 32 m, 32 n) as z1 (B, width, H / 4, W / 4); ValueError for another shape."""
-        sides = photo.shape[-2:]
-        if photo.ndim != 4 or photo.shape[1] != 3 or any(side == 0 or side % _STRIDE for side in sides):
-            wanted = f"(B, 3, H, W) with sides that are multiples of {_STRIDE}"
+        """Encode photos (B, 3, H, W), sides multiples of 32 `photo_pool`, as z1; ValueError for another shape."""
+        sides, unit = photo.shape[-2:], _STRIDE * self.pool
+        if photo.ndim != 4 or photo.shape[1] != 3 or any(side == 0 or side % unit for side in sides):
+            wanted = f"(B, 3, H, W) with sides that are multiples of {unit}"
             raise ValueError(f"photo has shape {tuple(photo.shape)}; it must be {wanted}")
-        features = self.backbone((photo - self.mean) / self.std)
-        size = (sides[0] // 4, sides[1] // 4)
-        emphasised = [emphasis(features[i], size) for i, emphasis in zip(self.used, self.emphasis, strict=True)]
+        pooled = functional.avg_pool2d(photo, self.pool) if self.pool > 1 else photo
+        features = self.backbone((pooled - self.mean) / self.std)
+        fine = [side // (4 * self.pool) for side in sides]
+        emphasised = [emphasis(features[i], fine) for i, emphasis in zip(self.used, self.emphasis, strict=True)]
         z1: Tensor = self.aggregation(emphasised)
-        return z1
+        return functional.interpolate(z1, scale_factor=self.pool, mode="bilinear") if self.pool > 1 else z1
 
 
 class ConditionNetwork(nn.Module):
@@ -72,9 +74,10 @@ class ConditionNetwork(nn.Module):
     physics : PhysicsEncoder or None
         Encoder of the physics maps.
     fusion : Conv2d or None
-        1x1 convolution that joins both where there are both.
+        Where there are both: 1x1 convolution of the photo's features, added to those of the physics maps. It starts at
+        zero, so that a photo encoder can be put on a trained network without changing what it draws.
     condition_channels : int
-        Channels of the condition: `width`, or `physics_width` without a photo encoder.
+        Channels of the condition: `physics_width`, or `width` without physics maps.
     """
 
     def __init__(self, config: NetworkConfig) -> None:
@@ -87,8 +90,8 @@ class ConditionNetwork(nn.Module):
             else None
         )
         both = self.photo is not None and self.physics is not None
-        self.fusion = nn.Conv2d(config.width + config.physics_width, config.width, 1) if both else None
-        self.condition_channels = config.physics_width if self.photo is None else config.width
+        self.fusion = _silent_convolution(config.width, config.physics_width) if both else None
+        self.condition_channels = config.width if self.physics is None else config.physics_width
 
     def condition(self, photo: Tensor | None, physics: Tensor | None) -> Tensor:
         """Encode photos, once each.
@@ -96,14 +99,14 @@ class ConditionNetwork(nn.Module):
         Parameters
         ----------
         photo : (B, 3, H, W) float, display values 0..1
-            Blurred photo, sides multiples of 32; 256x256 together with physics maps. None without a photo encoder.
+            Blurred photo, sides multiples of 32 `photo_pool`; 256x256 together with physics maps. None without a photo encoder.
         physics : (B, P, 64, 64) float
             Physics maps; None if the network takes none.
 
         Returns
         -------
         (B, C, H / 4, W / 4) float
-            C is `width`, or `physics_width` without a photo encoder.
+            C is `condition_channels`.
 
         Raises
         ------
@@ -114,14 +117,19 @@ class ConditionNetwork(nn.Module):
         _check_presence("physics", physics, wanted=self.physics is not None)
         if photo is not None and physics is not None and photo.shape[-2:] != (4 * GRID, 4 * GRID):
             raise ValueError(f"photo has shape {tuple(photo.shape)}; with physics maps it must be (B, 3, 256, 256)")
-        parts: list[Tensor] = []
-        if self.photo is not None:
-            parts.append(self.photo(photo))  # (B, width, H/4, W/4)
-        if self.physics is not None:
-            parts.append(self.physics(physics))  # (B, physics_width, 64, 64)
-        if self.fusion is None:
-            return parts[0]
-        return functional.relu(self.fusion(torch.cat(parts, dim=1)))  # (B, width, 64, 64)
+        seen = None if self.photo is None else self.photo(photo)  # (B, width, H/4, W/4)
+        known = None if self.physics is None else self.physics(physics)  # (B, physics_width, 64, 64)
+        condition: Tensor = known if seen is None else seen
+        if self.fusion is not None:
+            condition = known + self.fusion(seen)
+        return condition
+
+
+def _silent_convolution(inputs: int, outputs: int) -> nn.Conv2d:
+    layer = nn.Conv2d(inputs, outputs, 1)
+    nn.init.zeros_(layer.weight)
+    nn.init.zeros_(layer.bias)
+    return layer
 
 
 def _check_presence(name: str, value: Tensor | None, *, wanted: bool) -> None:

@@ -26,6 +26,8 @@ class NetworkConfig:
         Size of the PVT v2 photo encoder, "b0".."b5"; "none": no photo encoder, physics maps only.
     features : str
         "multi": all four scales condition the denoiser; "f2" or "f4": only that one (the paper's ablation).
+    photo_pool : int
+        1, or 2: the photo encoder sees means of 2x2 pixels, at about a quarter of the cost.
     width : int
         Channels of local emphasis, aggregation and z1.
     denoiser_width : int
@@ -56,6 +58,7 @@ class NetworkConfig:
     target: str = "map"
     backbone: str = "b0"
     features: str = "multi"
+    photo_pool: int = 1
     width: int = 64
     denoiser_width: int = 64
     decoder_widths: tuple[int, int] = (32, 16)
@@ -71,6 +74,7 @@ class NetworkConfig:
         _choice("target", self.target, TARGETS)
         _choice("backbone", self.backbone, BACKBONES)
         _choice("features", self.features, FEATURES)
+        _choice("photo_pool", self.photo_pool, (1, 2))
         _multiple("width", self.width, 1)
         _multiple("denoiser_width", self.denoiser_width, 4)
         if not isinstance(self.decoder_widths, tuple) or len(self.decoder_widths) != 2:

@@ -170,10 +170,6 @@ class TrainingConfig:
     loss: LossConfig = field(default_factory=LossConfig)
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
 
-    def __post_init__(self) -> None:
-        if self.data.prepared and self.network.backbone != "none":
-            raise ValueError('network.backbone: prepared samples hold no colour photos; it must be "none" with them')
-
     def as_dict(self) -> dict[str, Any]:
         """Fields as plain values, ready for JSON."""
         return asdict(self)

@@ -117,16 +117,21 @@ class PreparedSource:
     ----------
     samples : Samples
         From :func:`motdiff.training.prepared.read_shards`.
+    photo, physics : bool
+        What the network takes.
     seed : int
     symmetries : bool
         Whether to turn and mirror.
     """
 
-    def __init__(self, samples: Samples, *, seed: int, symmetries: bool = True) -> None:
+    def __init__(self, samples: Samples, *, photo: bool, physics: bool, seed: int, symmetries: bool = True) -> None:
         self._seed, self._symmetries = seed, symmetries
-        parts = torch.split(samples.photos, _PREPARING)
-        self._spectral = torch.cat([spectral_maps(part.float().div(255).square()).half() for part in parts])
-        self._kernels, self._x0, self._dwell = samples.kernels, samples.x0, samples.dwell
+        self._photos = samples.photos if photo else None
+        self._maps: tuple[Tensor, Tensor] | None = None
+        if physics:
+            parts = torch.split(samples.photos, _PREPARING)
+            self._maps = torch.cat([spectral_maps(_light(part)).half() for part in parts]), samples.kernels
+        self._x0, self._dwell = samples.x0, samples.dwell
 
     def __len__(self) -> int:
         return len(self._x0)
@@ -142,19 +147,35 @@ class PreparedSource:
             draw = torch.Generator().manual_seed(seed_of(self._seed, step, rank))
             groups = torch.randint(8, (size,), generator=draw)
         parts = [self._turned(index[groups == s], s) for s in range(8) if bool((groups == s).any())]
-        physics, x0, dwell = (torch.cat([part[i] for part in parts]) for i in range(3))
-        return Batch(None, physics, x0, dwell)
+        return _joined(parts)
 
     def _order(self, epoch: int, rank: int) -> Tensor:
         draw = torch.Generator().manual_seed(seed_of(self._seed, -1 - epoch, rank))
         return torch.randperm(len(self), generator=draw)
 
-    def _turned(self, index: Tensor, symmetry: int) -> tuple[Tensor, Tensor, Tensor]:
-        spectral = mirrored(self._spectral[index].float(), symmetry, pitch=1)
-        kernels = mirrored(self._kernels[index].float(), symmetry, pitch=1)
-        physics = stacked_maps(spectral, kernels)
+    def _turned(self, index: Tensor, symmetry: int) -> Batch:
+        photo = physics = None
+        if self._photos is not None:
+            photo = display_photo(mirrored(_light(self._photos[index]), symmetry, pitch=0))
+        if self._maps is not None:
+            spectral, kernels = (mirrored(maps[index].float(), symmetry, pitch=1) for maps in self._maps)
+            physics = stacked_maps(spectral, kernels)
         x0, dwell = (mirrored(maps[index].float(), symmetry, pitch=4) for maps in (self._x0, self._dwell))
-        return physics, x0, dwell
+        return Batch(photo, physics, x0, dwell)
+
+
+def _light(stored: Tensor) -> Tensor:
+    """Light 0..1 of prepared photos, which hold ``255 sqrt(light)``."""
+    return stored.float().div(255).square()
+
+
+def _joined(parts: Sequence[Batch]) -> Batch:
+    def whole(maps: Sequence[Tensor | None]) -> Tensor | None:
+        there = [one for one in maps if one is not None]
+        return torch.cat(there) if there else None
+
+    photo, physics = whole([part.photo for part in parts]), whole([part.physics for part in parts])
+    return Batch(photo, physics, torch.cat([p.x0 for p in parts]), torch.cat([p.dwell for p in parts]))
 
 
 def seed_of(*numbers: int) -> int:

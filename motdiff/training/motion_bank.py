@@ -17,10 +17,11 @@ from motdiff.gyro import GyroTrace, read_gyro
 from motdiff.motions import boracchi_foi, quadratic, random_gyro_motion, random_straight
 from motdiff.trajectory import Trajectory
 
-__all__ = ["MAP_PX", "PSF_PX", "MotionBank", "MotionMix", "build_bank", "draw_motion", "dwell_on_map"]
+__all__ = ["MAP_PX", "PSF_PX", "MotionBank", "MotionMix", "build_bank", "draw_motion", "drawn_kinds", "dwell_on_map"]
 
 PSF_PX = 64
 MAP_PX = 256
+_KINDS = ("boracchi_foi", "boracchi_foi_short", "gyro", "straight", "quadratic")  # in the order of the shares
 _TRIES = 100
 _CHUNK = 200
 _TIMES = 6000
@@ -75,8 +76,8 @@ class MotionMix:
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Weights of the five kinds, in the order of :func:`draw_motion`."""
-        return (self.boracchi_foi, self.boracchi_foi_short, self.gyro, self.straight, self.quadratic)
+        """Weights of the five kinds."""
+        return tuple(getattr(self, kind) for kind in _KINDS)
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,17 @@ def draw_motion(mix: MotionMix, rng: np.random.Generator, trace: GyroTrace | Non
         If no drawn motion fits the frame: the lengths are too large; or the mix has gyro-driven motion and there is no
         trace.
     """
+    return _draw(mix, rng, trace)[1]
+
+
+def drawn_kinds(mix: MotionMix, *, count: int, seed: int, first: int = 0) -> list[str]:
+    """Kinds of the motions that :func:`build_bank` draws, by the name of their share in the mix; same arguments."""
+    trace = read_gyro(Path(mix.gyro_trace)) if mix.gyro > 0 else None
+    indices = range(first, first + count)
+    return [_KINDS[_draw(mix, np.random.default_rng([seed, index]), trace)[0]] for index in indices]
+
+
+def _draw(mix: MotionMix, rng: np.random.Generator, trace: GyroTrace | None) -> tuple[int, Trajectory]:
     if mix.gyro > 0 and trace is None:
         raise ValueError("trace: motions.gyro > 0 needs a gyroscope recording, got none")
     shares = np.array(mix.shares) / sum(mix.shares)
@@ -162,7 +174,7 @@ def draw_motion(mix: MotionMix, rng: np.random.Generator, trace: GyroTrace | Non
         else:
             motion = quadratic(rng, min_length_px=mix.min_length_px, max_length_px=mix.max_length_px)
         if motion.frame_size() <= PSF_PX:
-            return motion
+            return kind, motion
     raise ValueError(f"max_length_px: {_TRIES} drawn motions did not fit {PSF_PX} px, got {mix.max_length_px}")
 
 

@@ -85,18 +85,18 @@ def make_sources(config: TrainingConfig, *, device: torch.device | str = "cpu", 
         If the network takes another number of physics maps than there are, or there are too few photos.
     """
     data, seed = config.data, config.optimiser.seed
+    wanted = {"photo": config.network.backbone != "none", "physics": config.network.physics_channels > 0}
     if data.prepared:
         known = read_shards(data.prepared)
         _check_channels(config, known.kernels.shape[1])
-        kept = PreparedSource(read_shards(data.prepared_validation), seed=_VALIDATION_SEED, symmetries=False)
+        held_out = read_shards(data.prepared_validation)
+        kept = PreparedSource(held_out, seed=_VALIDATION_SEED, symmetries=False, **wanted)
         fixed = kept.batch(0, min(data.validation, len(kept))).split(_VALIDATION_BATCH)
-        return Sources(PreparedSource(known, seed=seed), tuple(batch.to(device) for batch in fixed))
-    if config.network.physics_channels:
-        _check_channels(config, len(QUICK_STARTS))
+        return Sources(PreparedSource(known, seed=seed, **wanted), tuple(batch.to(device) for batch in fixed))
+    _check_channels(config, len(QUICK_STARTS))
     chunks = [min(_VALIDATION_BATCH, data.validation - first) for first in range(0, data.validation, _VALIDATION_BATCH)]
     scenes = load_photos(data.photos, least_px=PHOTO_PX + config.photography.margin, device=str(device))
     seen, unseen = split_photos(scenes, data.held_out)
-    wanted = {"photo": config.network.backbone != "none", "physics": config.network.physics_channels > 0}
     bank = build_bank(config.motions, count=data.motions, seed=seed, workers=workers).to(device)
     other = build_bank(config.motions, count=data.validation, seed=seed_of(seed, _VALIDATION_SEED), workers=workers)
     check = LiveSource(other.to(device), unseen, config.photography, seed=_VALIDATION_SEED, **wanted)
@@ -187,7 +187,7 @@ def validation_mnc(trainer: Trainer, batches: tuple[Batch, ...], *, steps: int =
 
 def _check_channels(config: TrainingConfig, kernels: int) -> None:
     there, wanted = 2 + 2 * kernels, config.network.physics_channels
-    if wanted != there:
+    if wanted not in (0, there):
         raise ValueError(f"network.physics_channels: must be {there}, as many as there are physics maps, got {wanted}")
 
 

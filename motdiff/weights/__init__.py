@@ -32,6 +32,7 @@ PATH_WEIGHTS = Path(__file__).with_name("parametric.safetensors")
 PSF_WEIGHTS = Path(__file__).with_name("psf_diffusion.safetensors")
 _SCHEMA = "motdiff.weights/1"
 _OUTPUT_BIAS = "denoiser.output.1.bias"
+_PHOTO_FIELDS = ("backbone", "features", "photo_pool", "width")
 _PATHS = (
     ("data", "photos"),
     ("data", "prepared"),
@@ -133,22 +134,29 @@ def load_path_network(path: Path | str = PATH_WEIGHTS, *, device: str | torch.de
 def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
     """Copy a weights file into ``network``: all of it where both are the same network, else its condition network.
 
+    A photo encoder that the file does not have makes no other network: it keeps its values, and adds nothing yet.
+
     Raises
     ------
     ValueError
         If the file is not one of ours, or its condition network has other sizes.
     """
     other = _loaded(path, "cpu")
-    mine, parts = network.state_dict(), other.state_dict()
-    if replace(other.config, dropout=network.config.dropout) != network.config:  # dropout has no weights
+    mine, parts, ours = network.state_dict(), other.state_dict(), network.config
+    theirs = replace(other.config, dropout=ours.dropout)  # dropout has no weights
+    if other.photo is None:
+        theirs = replace(theirs, **{name: getattr(ours, name) for name in _PHOTO_FIELDS})
+    if theirs != ours:
         parts = {name: tensor for name, tensor in parts.items() if _of_condition(name)}
-        expected = {name: tensor.shape for name, tensor in mine.items() if _of_condition(name)}
-        if {name: tensor.shape for name, tensor in parts.items()} != expected:
-            raise ValueError(f"{path}: its condition network has other sizes than the one to start")
     elif _OUTPUT_BIAS in parts:
         bias = parts[_OUTPUT_BIAS].clone()
         bias[0] += read_card(path)["run"]["offset"]  # the logits as they were trained
         parts = parts | {_OUTPUT_BIAS: bias}
+    added = ("photo.", "fusion.") if other.photo is None and network.physics is not None else ()
+    wanted = {name: t.shape for name, t in mine.items() if theirs == ours or _of_condition(name)}
+    wanted = {name: shape for name, shape in wanted.items() if not name.startswith(added)}
+    if {name: tensor.shape for name, tensor in parts.items()} != wanted:
+        raise ValueError(f"{path}: its condition network has other sizes than the one to start")
     network.load_state_dict(mine | parts)
 
 

@@ -14,6 +14,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from motdiff.network import MotDiffNetwork, NetworkConfig
 from motdiff.network.aggregation import LocalEmphasis, StepwiseAggregation
+from motdiff.network.condition import PhotoEncoder
 from motdiff.network.denoiser import Denoiser, timestep_embedding
 from motdiff.network.physics import PhysicsEncoder
 from motdiff.network.pvt import PyramidVisionTransformer, load_backbone
@@ -334,7 +335,8 @@ WHOLE = {
     "f2": NetworkConfig(features="f2"),
     "f4": NetworkConfig(features="f4"),
     "physics": NetworkConfig(backbone="none", physics_channels=5),
-    "both": NetworkConfig(physics_channels=5, dwell=True),
+    "both": NetworkConfig(physics_channels=5, width=24, dwell=True),
+    "halved": NetworkConfig(physics_channels=5, photo_pool=2),
 }
 EACH = pytest.mark.parametrize("config", WHOLE.values(), ids=WHOLE.keys())
 
@@ -346,7 +348,7 @@ def test_the_condition_serves_many_steps(config):
     given = inputs(config)
     with torch.no_grad():
         condition = network.condition(given["photo"], given["physics"])
-        channels = config.physics_width if config.backbone == "none" else config.width
+        channels = config.physics_width if config.physics_channels else config.width
         assert condition.shape == (2, channels, *(side // 4 for side in given["x_t"].shape[-2:]))
         for t in (given["t"], given["t"] + 90):
             logits = network.denoise(given["x_t"], t, condition)
@@ -357,9 +359,39 @@ def test_the_condition_serves_many_steps(config):
 @EACH
 def test_gradients_reach_every_parameter(config):
     network = MotDiffNetwork(config)
+    if network.fusion is not None:
+        torch.nn.init.normal_(network.fusion.weight)
     network(**inputs(config, batch=1)).square().mean().backward()
     without = [name for name, p in network.named_parameters() if p.grad is None or not p.grad.any()]
     assert without == []
+
+
+@pytest.mark.parametrize("name", ["both", "halved"])
+def test_a_photo_encoder_changes_nothing_until_it_is_trained(name):
+    """The condition is at first that of the physics maps, bit for bit; one update of the fusion alone lets it speak."""
+    network = MotDiffNetwork(WHOLE[name]).eval()
+    given = inputs(WHOLE[name])
+    with torch.no_grad():
+        alone = network.physics(given["physics"])
+    condition = network.condition(given["photo"], given["physics"])
+    assert torch.equal(condition, alone)
+    condition.square().mean().backward()
+    assert network.fusion.weight.grad.any()
+    with torch.no_grad():
+        network.fusion.weight -= network.fusion.weight.grad
+        assert not torch.equal(network.condition(given["photo"], given["physics"]), alone)
+
+
+def test_a_pooled_encoder_sees_means_of_four_pixels():
+    encoder = PhotoEncoder(NetworkConfig(photo_pool=2)).eval()
+    photo = torch.rand(1, 3, 128, 64)
+    means = torch.nn.functional.avg_pool2d(photo, 2).repeat_interleave(2, 2).repeat_interleave(2, 3)
+    with torch.no_grad():
+        z1 = encoder(photo)
+        assert z1.shape == (1, 64, 32, 16)
+        torch.testing.assert_close(encoder(means), z1)
+    with pytest.raises(ValueError, match=r"multiples of 64"):
+        encoder(torch.rand(1, 3, 96, 64))
 
 
 def test_photos_of_a_batch_do_not_meet():
@@ -434,6 +466,7 @@ def test_config_survives_json():
     [
         ("backbone", "b6"),
         ("features", "f1"),
+        ("photo_pool", 3),
         ("width", 0),
         ("width", 64.0),
         ("denoiser_width", 62),

@@ -9,13 +9,13 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from motdiff import weights as module
-from motdiff.network import NetworkConfig
+from motdiff.network import NetworkConfig, build_network
 from motdiff.sampling import sample_paths
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch
 from motdiff.training.loop import Trainer
-from motdiff.weights import export_weights, load_network, read_card
+from motdiff.weights import DEFAULT_WEIGHTS, export_weights, load_network, load_start, read_card
 
 TINY = NetworkConfig(
     backbone="none",
@@ -134,6 +134,31 @@ def test_a_run_of_the_same_network_goes_on_from_all_weights_without_their_offset
     for network in (begun.network, begun.average):
         for name, tensor in network.state_dict().items():
             torch.testing.assert_close(tensor, expected[name], rtol=2**-10, atol=2**-10)
+
+
+def test_a_photo_encoder_can_be_put_on_the_shipped_weights():
+    """Until it is trained the network gives the shipped one's logits, less the offset that export took from them."""
+    shipped = load_network()
+    offset = read_card(DEFAULT_WEIGHTS)["run"]["offset"]
+    larger = build_network(replace(shipped.config, backbone="b0", photo_pool=2, width=16)).eval()
+    larger.to(memory_format=torch.channels_last)  # as the loaded one: for the same bits
+    load_start(larger, DEFAULT_WEIGHTS)
+    draw = torch.Generator().manual_seed(0)
+    photo, physics = torch.rand(1, 3, 256, 256, generator=draw), torch.randn(1, 8, 64, 64, generator=draw)
+    x_t, t = torch.randn(1, 1, 256, 256, generator=draw), torch.tensor([300])
+    with torch.no_grad():
+        assert torch.equal(larger.condition(photo, physics), shipped.condition(None, physics))
+        logits, expected = larger(x_t, t, photo, physics), shipped(x_t, t, None, physics)
+    assert torch.equal(logits[:, 1:], expected[:, 1:])
+    torch.testing.assert_close(logits[:, :1] - offset, expected[:, :1], atol=1e-5, rtol=1e-5)
+
+
+def test_a_start_of_other_sizes_is_refused(exported):
+    for other in (replace(TINY, physics_width=16), replace(TINY, backbone="b0", physics_channels=0)):
+        network = build_network(other)
+        before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
+        refused(lambda file, network=network: load_start(network, file), exported, "condition network has other sizes")
+        assert all(torch.equal(tensor, before[name]) for name, tensor in network.state_dict().items())
 
 
 def test_a_card_may_be_left_out(trained, tmp_path):

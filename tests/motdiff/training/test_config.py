@@ -131,6 +131,7 @@ def test_a_configuration_is_json_and_back(tmp_path):
         ("[loss]\ndwell = inf", "loss.dwell: must be a finite number"),
         ('[network]\nbackbone = "resnet"', "network.backbone is 'resnet'"),
         ("[network]\ndecoder_widths = [15, 8]", "network.decoder_widths[0] is 15"),
+        ("[network]\nphoto_pool = 3", "network.photo_pool is 3"),
         ('[network]\nbackbone = "none"', "network.physics_channels is 0"),
         ("[motions]\ngyro = 0.5", "motions.gyro_trace: "),
         ("[motions]\nmin_length_px = 70", "motions.min_length_px: "),
@@ -153,7 +154,6 @@ def test_one_line_names_what_is_wrong(tmp_path, text, said):
         ('photos = "p"\nmotions = 0', "data.motions: must be at least 1"),
         ('photos = "p"\nphysics_dropout = 1', "data.physics_dropout: must be at least 0 and below 1"),
         ('prepared = "p"', "data.prepared_validation: "),
-        ('prepared = "p"\nprepared_validation = "v"', "network.backbone: prepared samples hold no colour photos"),
     ],
 )
 def test_one_line_names_what_is_wrong_with_the_data(tmp_path, data, said):

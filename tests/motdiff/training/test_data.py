@@ -5,12 +5,15 @@ from functools import partial
 import pytest
 import torch
 
-from motdiff.conditions import QuickStart, physics_maps, quick_kernels
+from torch.nn import functional
+
+from motdiff.conditions import QuickStart, display_photo, physics_maps, quick_kernels
 from motdiff.grids import mirrored
+from motdiff.sampling import psfs_of_maps
 from motdiff.training import samples as samples_module
 from motdiff.training.data import Batch, LiveSource, PreparedSource, seed_of
 from motdiff.training.motion_bank import MotionMix, build_bank
-from motdiff.training.samples import Samples
+from motdiff.training.samples import Samples, simulate
 from motdiff.training.simulation import Photography
 
 PLAIN = Photography(most_noise=0.0, gammas=(1.0, 1.0), wrong_gamma=0.0, gains=(1.0, 1.0), jpeg=0.0)
@@ -33,6 +36,10 @@ def prepared():
     photos = torch.randint(0, 256, (7, 1, 256, 256), generator=draw).to(torch.uint8)
     kernels = torch.rand(7, 3, 64, 64, generator=draw).half()
     return Samples(photos, kernels, x0.to(torch.uint8), dwell.half())
+
+
+def shuffled(samples, *, photo=False, physics=True, seed=3, symmetries=True):
+    return PreparedSource(samples, photo=photo, physics=physics, seed=seed, symmetries=symmetries)
 
 
 def tensors(batch):
@@ -94,7 +101,7 @@ def test_a_batch_is_cut_and_copied_whole():
 
 
 def test_every_epoch_has_every_sample_once_in_another_order(prepared):
-    source = PreparedSource(prepared, seed=3)
+    source = shuffled(prepared)
     seen = [index for step in range(14) for index, _ in origins(source.batch(step, 1), prepared)]
     assert sorted(seen[:7]) == sorted(seen[7:]) == list(range(7))
     assert seen[:7] != seen[7:]
@@ -102,7 +109,7 @@ def test_every_epoch_has_every_sample_once_in_another_order(prepared):
 
 @pytest.mark.parametrize("size", [3, 16])
 def test_a_batch_may_reach_into_the_next_epoch(prepared, size):
-    whole = PreparedSource(prepared, seed=3, symmetries=False)
+    whole = shuffled(prepared, symmetries=False)
     alone = [origins(whole.batch(i, 1), prepared)[0] for i in range(3 * size)]
     for step in range(3):
         assert origins(whole.batch(step, size), prepared) == alone[step * size : (step + 1) * size]
@@ -110,31 +117,66 @@ def test_a_batch_may_reach_into_the_next_epoch(prepared, size):
 
 def test_prepared_batches_follow_from_seed_step_and_rank(prepared):
     def batch(step=2, *, seed=3, rank=0):
-        return PreparedSource(prepared, seed=seed).batch(step, 4, rank=rank)
+        return shuffled(prepared, photo=True, seed=seed).batch(step, 4, rank=rank)
 
     assert same(batch(), batch())
     assert not any(same(batch(), other) for other in (batch(1), batch(rank=1), batch(seed=4)))
 
 
 def test_samples_are_turned_all_eight_ways(prepared):
-    source = PreparedSource(prepared, seed=3)
+    source = shuffled(prepared)
     turns = [turn for step in range(8) for _, turn in origins(source.batch(step, 7), prepared)]
     assert set(turns) == set(range(8))
-    still = PreparedSource(prepared, seed=3, symmetries=False)
+    still = shuffled(prepared, symmetries=False)
     assert {turn for _, turn in origins(still.batch(0, 7), prepared)} == {0}
 
 
 def test_a_turned_sample_is_the_sample_of_the_turned_photo(prepared):
-    batch = PreparedSource(prepared, seed=5).batch(0, 7)
-    assert batch.photo is None
+    batch = shuffled(prepared, photo=True, seed=5).batch(0, 7)
     for position, (index, turn) in enumerate(origins(batch, prepared)):
         one = slice(index, index + 1)
         light = prepared.photos[one].float().div(255).square()
+        seen = display_photo(mirrored(light, turn, pitch=0))
+        assert torch.equal(batch.photo[position : position + 1], seen)
         expected = physics_maps(mirrored(light, turn, pitch=0), mirrored(prepared.kernels[one].float(), turn, pitch=1))
         inner = (..., slice(1, None), slice(1, None))  # the grid has lags of -32, but none of 32 to mirror them with
         torch.testing.assert_close(batch.physics[position : position + 1][inner], expected[inner], atol=5e-3, rtol=0)
         dwell = mirrored(prepared.dwell[one].float(), turn, pitch=4)
         assert torch.equal(batch.dwell[position : position + 1], dwell)
+
+
+def likeness(photo, psf):
+    """Greatest normalised correlation of a photo (256, 256) with a PSF (64, 64), over all shifts."""
+    spectra = (torch.fft.rfft2(maps, s=(320, 320)) for maps in (photo, psf))
+    first, second = spectra
+    return (torch.fft.irfft2(first * second.conj(), s=(320, 320)).max() / (photo.norm() * psf.norm())).item()
+
+
+def test_a_turned_photo_is_blurred_by_the_turned_path():
+    """The photo of a bright square shows the PSF itself."""
+    scene = torch.zeros(3, 319, 319, dtype=torch.uint8)
+    scene[:, 158:161, 158:161] = 255
+    bank = build_bank(MotionMix(max_length_px=40), count=1, seed=2)
+    taken = simulate(bank, [scene], torch.tensor([0]), photography=PLAIN, physics=False, seed=0)
+    stored = (255 * taken.photos.mean(dim=1, keepdim=True).sqrt()).round().to(torch.uint8)
+    source = shuffled(Samples(stored, taken.kernels, taken.x0.byte(), taken.dwell.half()), photo=True, physics=False)
+    seen = set()
+    for step in range(40):
+        batch = source.batch(step, 1)
+        photo = batch.photo[0, 0] ** 2.2
+        psfs = functional.avg_pool2d(psfs_of_maps(batch.dwell), 3, 1, 1)
+        likes = [likeness(photo, mirrored(psfs, s, pitch=1)[0, 0]) for s in range(8)]
+        assert likes[0] > 0.99 > max(likes[1:]) + 0.02
+        seen.add(origins(batch, taken)[0][1])
+    assert seen == set(range(8))
+
+
+def test_a_prepared_batch_holds_what_the_network_takes(prepared):
+    for photo, physics in [(True, False), (False, True), (True, True)]:
+        batch = shuffled(prepared, photo=photo, physics=physics).batch(0, 3)
+        assert (batch.photo is not None, batch.physics is not None) == (photo, physics)
+        if photo:
+            assert batch.photo.shape == (3, 3, 256, 256)
 
 
 # ---- live samples

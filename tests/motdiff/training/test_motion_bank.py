@@ -11,7 +11,7 @@ from torch.nn import functional
 from motdiff.gyro import GyroTrace
 from motdiff.metrics import mnc, register_shift
 from motdiff.training import motion_bank
-from motdiff.training.motion_bank import MotionMix, build_bank, draw_motion, dwell_on_map
+from motdiff.training.motion_bank import MotionMix, build_bank, draw_motion, drawn_kinds, dwell_on_map
 from motdiff.trajectory import Trajectory
 
 ALL_KINDS = MotionMix(boracchi_foi=1, boracchi_foi_short=1, straight=1, quadratic=1)
@@ -162,6 +162,14 @@ def test_kinds_come_by_their_shares():
     mix = replace(NOTHING, straight=3, quadratic=1, min_length_px=5, max_length_px=10)
     straight = sum(motion.t.size == 2 for motion in motions(mix, count=400))
     assert abs(straight - 300) < 4 * math.sqrt(400 * 0.75 * 0.25)
+
+
+def test_the_kinds_of_a_bank_are_those_of_its_motions():
+    mix = MotionMix(boracchi_foi=0.5, straight=0.5, max_length_px=30)
+    kinds = drawn_kinds(mix, count=12, seed=4, first=5)
+    straight = [draw_motion(mix, np.random.default_rng([4, index])).t.size == 2 for index in range(5, 17)]
+    assert [kind == "straight" for kind in kinds] == straight
+    assert set(kinds) == {"boracchi_foi", "straight"}
 
 
 def test_gyro_motions_come_from_the_recording(tmp_path):

@@ -148,6 +148,13 @@ def test_a_run_from_prepared_samples(prepared, tmp_path, capsys):
     assert "new run, from step 0 of 3" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("channels", [0, 8])
+def test_a_run_from_prepared_samples_with_a_photo_encoder(prepared, tmp_path, channels):
+    network = replace(PHYSICS, backbone="b0", photo_pool=2, width=8, physics_channels=channels)
+    train(from_prepared(prepared, network=network, validation=1), tmp_path)
+    assert_left_behind(tmp_path, step=1)
+
+
 def test_a_run_from_photos_with_physics_maps(photos, tmp_path):
     train(live(photos), tmp_path, pace=Pace(minutes=0))
     assert_left_behind(tmp_path, step=1)
