@@ -44,7 +44,7 @@ def rows(base: TrainingConfig) -> dict[str, TrainingConfig]:
 
 
 def held_out(config: TrainingConfig) -> dict[str, list[Batch]]:
-    """Prepared validation samples by their kind of motion, as they lie; the shards must be 0, 1, 2, ..."""
+    """Sort the prepared validation samples (shards 0, 1, 2, ...) by their kind of motion."""
     samples = read_shards(config.data.prepared_validation)
     kinds = np.array(drawn_kinds(config.motions, count=len(samples), seed=config.optimiser.seed + 1))
     batches = {}
@@ -81,7 +81,7 @@ def measured(trainer: Trainer, batches: list[Batch]) -> tuple[float, np.ndarray]
             generator = torch.Generator().manual_seed(number)
             drawn = drawn_psfs(sampler, seen, schedule=trainer.schedule, steps=steps, generator=generator)
             score.append([mnc(a, b) for a, b in zip(drawn.double().numpy(), truth, strict=True)])
-    return float(np.mean(losses)), np.array([sum(score, []) for score in scores])
+    return float(np.mean(losses)), np.array([np.concatenate(score) for score in scores])
 
 
 def main() -> None:
@@ -105,6 +105,7 @@ def main() -> None:
     for name, config in rows(base).items():
         folder = options.runs / name.replace(" ", "-")
         trainers[name] = train(config, folder, pace=Pace(validate_steps=options.updates))
+    print("| row | motions | photos | loss | MNC, one step | ten steps | more than the start |\n" + 7 * "|---" + "|")
     for name, trainer in trainers.items():
         for kind, some in batches.items():
             loss, scores = measured(trainer, some)

@@ -99,7 +99,8 @@ class ConditionNetwork(nn.Module):
         Parameters
         ----------
         photo : (B, 3, H, W) float, display values 0..1
-            Blurred photo, sides multiples of 32 `photo_pool`; 256x256 together with physics maps. None without a photo encoder.
+            Blurred photo, sides multiples of 32 `photo_pool`; 256x256 together with physics maps. None without a photo
+            encoder.
         physics : (B, P, 64, 64) float
             Physics maps; None if the network takes none.
 

@@ -4,7 +4,6 @@ from functools import partial
 
 import pytest
 import torch
-
 from torch.nn import functional
 
 from motdiff.conditions import QuickStart, display_photo, physics_maps, quick_kernels
