@@ -99,13 +99,12 @@ def main() -> None:
     batches = held_out(base)
     trainers = {"start": Trainer(base)}
     reference: dict[str, np.ndarray] = {}
-    print(
-        "| row | motions | photos | loss | MNC, one step | ten steps | more than the start |\n|---|---|---|---|---|---|---|"
-    )
     for name, config in rows(base).items():
         folder = options.runs / name.replace(" ", "-")
         trainers[name] = train(config, folder, pace=Pace(validate_steps=options.updates))
     print("| row | motions | photos | loss | MNC, one step | ten steps | more than the start |\n" + 7 * "|---" + "|")
+    print("| row | motions | photos | loss | MNC, one step | ten steps | more than the start |")
+    print("|---|---|---|---|---|---|---|")
     for name, trainer in trainers.items():
         for kind, some in batches.items():
             loss, scores = measured(trainer, some)
