@@ -8,8 +8,8 @@ from torch.nn import functional
 
 from motdiff.network.aggregation import LocalEmphasis, StepwiseAggregation
 from motdiff.network.config import NetworkConfig
-from motdiff.network.physics import GRID, PhysicsEncoder
 from motdiff.network.pvt import PyramidVisionTransformer
+from motdiff.network.unet import GRID, GridUNet
 
 __all__ = ["ConditionNetwork", "PhotoEncoder"]
 
@@ -71,7 +71,7 @@ class ConditionNetwork(nn.Module):
     ----------
     photo : PhotoEncoder or None
         `photo.backbone` takes ImageNet weights, see `motdiff.network.pvt.load_backbone`.
-    physics : PhysicsEncoder or None
+    physics : GridUNet or None
         Encoder of the physics maps.
     fusion : Conv2d or None
         Where there are both: 1x1 convolution of the photo's features, added to those of the physics maps. It starts at
@@ -85,7 +85,7 @@ class ConditionNetwork(nn.Module):
         self.config = config
         self.photo = None if config.backbone == "none" else PhotoEncoder(config)
         self.physics = (
-            PhysicsEncoder(config.physics_channels, config.physics_width, config.physics_depth, config.physics_patch)
+            GridUNet(config.physics_channels, config.physics_width, config.physics_depth, config.physics_patch)
             if config.physics_channels
             else None
         )

@@ -32,6 +32,8 @@ class NetworkConfig:
         Channels of local emphasis, aggregation and z1.
     denoiser_width : int
         Channels of the denoiser's encoding block and mid layer; a multiple of 4 (PixelShuffle).
+    denoiser_view : int
+        Levels, 0..2, of the U-Net by which the denoiser sees the whole map; 0: none, as the paper's.
     decoder_widths : tuple of two int
         Channels after each decoding block's convolution; the first a multiple of 4 (PixelShuffle).
     dropout : float
@@ -61,6 +63,7 @@ class NetworkConfig:
     photo_pool: int = 1
     width: int = 64
     denoiser_width: int = 64
+    denoiser_view: int = 0
     decoder_widths: tuple[int, int] = (32, 16)
     dropout: float = 0.1
     physics_channels: int = 0
@@ -77,6 +80,9 @@ class NetworkConfig:
         _choice("photo_pool", self.photo_pool, (1, 2))
         _multiple("width", self.width, 1)
         _multiple("denoiser_width", self.denoiser_width, 4)
+        _choice("denoiser_view", self.denoiser_view, (0, 1, 2))
+        if self.denoiser_view:
+            _multiple("denoiser_width", self.denoiser_width, 8)
         if not isinstance(self.decoder_widths, tuple) or len(self.decoder_widths) != 2:
             raise ValueError(f"decoder_widths is {self.decoder_widths!r}; it must be a tuple of two whole numbers")
         _multiple("decoder_widths[0]", self.decoder_widths[0], 4)

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from motdiff.network.unet import GridUNet
+
 __all__ = ["Denoiser", "timestep_embedding"]
 
 _PATH_SHARE = 0.01  # of a map's pixels lie on the path: the output starts from this probability
@@ -23,6 +25,10 @@ class Denoiser(nn.Module):
 
     The paper does not say how the timestep enters. Here: sinusoidal embedding -> two-layer network -> a scale and a
     shift of each channel, after the ResNet block's first batch norm and on the mid layer before its ReLU.
+
+    Its output looks at about 16 map pixels around, so that it cannot agree with itself on one path where the condition
+    leaves several. With `view` a U-Net with attention, which starts silent, adds what the whole map says to the mid
+    layer. The paper has none.
 
     Parameters
     ----------
@@ -40,6 +46,9 @@ class Denoiser(nn.Module):
         Channels of the timestep's embedding, even.
     pitch : int
         Map pixels per condition pixel: 4; or 1 for maps on the condition's own grid, without stride and PixelShuffle.
+    view : int
+        Levels of the U-Net over the whole map below its first of 16x16; 0 for none. With one the condition must be
+        64x64.
 
     References
     ----------
@@ -56,6 +65,7 @@ class Denoiser(nn.Module):
         dropout: float = 0.1,
         time_width: int = 128,
         pitch: int = 4,
+        view: int = 0,
     ) -> None:
         super().__init__()
         self.pitch = pitch
@@ -66,6 +76,7 @@ class Denoiser(nn.Module):
         self.leave = nn.Conv2d(width, width, 3, 1, 1)
         self.mid = nn.Conv2d(width + condition_channels, width, 1)
         self.mid_modulation = _Modulation(time_width, width)
+        self.view = _silent(GridUNet(width, width, view, patch=4)) if view else None
         self.decode = nn.Sequential(
             *(nn.PixelShuffle(grow), nn.Conv2d(width // grow**2, decoder_widths[0], 3, 1, 1), nn.ReLU()),
             *(nn.PixelShuffle(grow), nn.Conv2d(decoder_widths[0] // grow**2, decoder_widths[1], 3, 1, 1), nn.ReLU()),
@@ -104,7 +115,10 @@ class Denoiser(nn.Module):
         x = self.residual(x, time)
         x = functional.relu(self.leave(x))
         x = self.mid(torch.cat([x, condition], dim=1))
-        x = functional.relu(self.mid_modulation(x, time))
+        x = self.mid_modulation(x, time)
+        if self.view is not None:
+            x = x + self.view(x)
+        x = functional.relu(x)
         x = self.decode(x)  # (B, decoder_widths[1], H, W)
         logits: Tensor = self.output(x)
         return logits
@@ -166,6 +180,12 @@ class _ResidualBlock(nn.Module):
     def forward(self, x: Tensor, time: Tensor) -> Tensor:
         hidden = functional.relu(self.modulation(self.norm1(self.conv1(x)), time))
         return functional.relu(x + self.norm2(self.conv2(hidden)))
+
+
+def _silent(unet: GridUNet) -> GridUNet:
+    for parameter in unet.out[-1].parameters():
+        nn.init.zeros_(parameter)
+    return unet
 
 
 def _output_layer(inputs: int, outputs: int) -> nn.Conv2d:

@@ -45,6 +45,7 @@ class MotDiffNetwork(ConditionNetwork):
             dropout=config.dropout,
             time_width=config.time_width,
             pitch=self.pitch,
+            view=config.denoiser_view,
         )
 
     def denoise(self, x_t: Tensor, t: Tensor, condition: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from motdiff.network.condition import ConditionNetwork
 from motdiff.network.config import NetworkConfig
-from motdiff.network.physics import GRID
+from motdiff.network.unet import GRID
 
 __all__ = ["PathHead", "PathNetwork"]
 

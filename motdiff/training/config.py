@@ -170,6 +170,12 @@ class TrainingConfig:
     loss: LossConfig = field(default_factory=LossConfig)
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
 
+    def __post_init__(self) -> None:
+        if self.network.denoiser_view and self.optimiser.window != 64:
+            raise ValueError(
+                f"optimiser.window: must be 64 for a denoiser that sees the whole map, got {self.optimiser.window}"
+            )
+
     def as_dict(self) -> dict[str, Any]:
         """Fields as plain values, ready for JSON."""
         return asdict(self)

@@ -134,7 +134,7 @@ def load_path_network(path: Path | str = PATH_WEIGHTS, *, device: str | torch.de
 def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
     """Copy a weights file into ``network``: all of it where both are the same network, else its condition network.
 
-    A photo encoder that the file does not have makes no other network: it keeps its values, and adds nothing yet.
+    A photo encoder or a global view that the file lacks makes no other network: it keeps its values, which are silent.
 
     Raises
     ------
@@ -144,18 +144,22 @@ def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
     other = _loaded(path, "cpu")
     mine, parts, ours = network.state_dict(), other.state_dict(), network.config
     theirs = replace(other.config, dropout=ours.dropout)  # dropout has no weights
-    if other.photo is None:
+    added: tuple[str, ...] = ()
+    if theirs.backbone == "none" and network.physics is not None:
         theirs = replace(theirs, **{name: getattr(ours, name) for name in _PHOTO_FIELDS})
+        added += ("photo.", "fusion.")
+    if theirs.denoiser_view == 0:
+        theirs = replace(theirs, denoiser_view=ours.denoiser_view)
+        added += ("denoiser.view.",)
     if theirs != ours:
         parts = {name: tensor for name, tensor in parts.items() if _of_condition(name)}
     elif _OUTPUT_BIAS in parts:
         bias = parts[_OUTPUT_BIAS].clone()
         bias[0] += read_card(path)["run"]["offset"]  # the logits as they were trained
         parts = parts | {_OUTPUT_BIAS: bias}
-    added = ("photo.", "fusion.") if other.photo is None and network.physics is not None else ()
-    wanted = {name: t.shape for name, t in mine.items() if theirs == ours or _of_condition(name)}
-    wanted = {name: shape for name, shape in wanted.items() if not name.startswith(added)}
-    if {name: tensor.shape for name, tensor in parts.items()} != wanted:
+    expected = {name: t.shape for name, t in mine.items() if theirs == ours or _of_condition(name)}
+    expected = {name: shape for name, shape in expected.items() if not name.startswith(added)}
+    if {name: tensor.shape for name, tensor in parts.items()} != expected:
         raise ValueError(f"{path}: its condition network has other sizes than the one to start")
     network.load_state_dict(mine | parts)
 

@@ -16,8 +16,8 @@ from motdiff.network import MotDiffNetwork, NetworkConfig
 from motdiff.network.aggregation import LocalEmphasis, StepwiseAggregation
 from motdiff.network.condition import PhotoEncoder
 from motdiff.network.denoiser import Denoiser, timestep_embedding
-from motdiff.network.physics import PhysicsEncoder
 from motdiff.network.pvt import PyramidVisionTransformer, load_backbone
+from motdiff.network.unet import GridUNet
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -243,7 +243,7 @@ def test_one_scale_needs_no_aggregation():
 
 @pytest.mark.parametrize("depth", [1, 3])
 def test_physics_encoder_keeps_the_grid_and_knows_the_place(depth):
-    encoder = PhysicsEncoder(2, 16, depth).eval()
+    encoder = GridUNet(2, 16, depth).eval()
     with torch.no_grad():
         features = encoder(torch.zeros(1, 2, 64, 64))
         assert features.shape == (1, 16, 64, 64)
@@ -253,12 +253,12 @@ def test_physics_encoder_keeps_the_grid_and_knows_the_place(depth):
 
 def test_physics_encoder_is_cheap():
     with torch.device("meta"), FlopCounterMode(display=False) as counter:
-        PhysicsEncoder(8, 48, 3)(torch.zeros(1, 8, 64, 64))
+        GridUNet(8, 48, 3)(torch.zeros(1, 8, 64, 64))
     assert counter.get_total_flops() / 2 < 1e9
 
 
 def test_every_place_reaches_every_other_through_attention():
-    encoder = PhysicsEncoder(1, 16, 3).eval()
+    encoder = GridUNet(1, 16, 3).eval()
     maps = torch.zeros(1, 1, 64, 64, requires_grad=True)
     encoder(maps)[0, :, 0, 0].square().sum().backward()
     assert maps.grad.abs().min() > 0
@@ -266,7 +266,7 @@ def test_every_place_reaches_every_other_through_attention():
 
 def test_physics_maps_of_another_shape_are_refused():
     with pytest.raises(ValueError, match=r"^maps has shape \(1, 2, 32, 32\); it must be \(B, 2, 64, 64\)"):
-        PhysicsEncoder(2, 16, 1)(torch.zeros(1, 2, 32, 32))
+        GridUNet(2, 16, 1)(torch.zeros(1, 2, 32, 32))
 
 
 # ---------------------------------------------------------------------------------------------------- denoiser
@@ -299,6 +299,26 @@ def test_no_connection_skips_the_mid_layer():
         denoiser.mid.weight[:, :16] = 0  # what comes from the encoding block
         first, second = (denoiser(torch.randn(1, 1, 64, 64), t, condition) for _ in range(2))
     assert torch.equal(first, second)
+
+
+@pytest.mark.parametrize("view", [0, 1])
+def test_a_denoiser_with_a_global_view_sees_the_whole_map(view):
+    """Without one a change of the noisy map tells on the logits near by; with one, everywhere."""
+    denoiser = Denoiser(8, width=16, view=view).eval()
+    if denoiser.view is not None:
+        torch.nn.init.normal_(denoiser.view.out[-1].weight)
+    x_t = torch.randn(1, 1, 256, 256, requires_grad=True)
+    denoiser(x_t, torch.tensor([500]), torch.randn(1, 8, 64, 64))[0, 0, 128, 128].backward()
+    rows = x_t.grad[0, 0].any(dim=1).nonzero()
+    reach = (128 - int(rows.min()), int(rows.max()) - 128)
+    assert reach == (128, 127) if view else max(reach) <= 20
+
+
+def test_a_global_view_changes_nothing_until_it_is_trained():
+    plain, wide = Denoiser(8, width=16).eval(), Denoiser(8, width=16, view=2).eval()
+    wide.load_state_dict(wide.state_dict() | plain.state_dict())
+    given = torch.randn(1, 1, 256, 256), torch.tensor([500]), torch.randn(1, 8, 64, 64)
+    assert torch.equal(wide(*given), plain(*given))
 
 
 @pytest.mark.parametrize("silenced", ["residual.modulation", "mid_modulation"])
@@ -337,6 +357,7 @@ WHOLE = {
     "physics": NetworkConfig(backbone="none", physics_channels=5),
     "both": NetworkConfig(physics_channels=5, width=24, dwell=True),
     "halved": NetworkConfig(physics_channels=5, photo_pool=2),
+    "global": NetworkConfig(backbone="none", physics_channels=5, denoiser_view=1),
 }
 EACH = pytest.mark.parametrize("config", WHOLE.values(), ids=WHOLE.keys())
 
@@ -361,6 +382,8 @@ def test_gradients_reach_every_parameter(config):
     network = MotDiffNetwork(config)
     if network.fusion is not None:
         torch.nn.init.normal_(network.fusion.weight)
+    if network.denoiser.view is not None:
+        torch.nn.init.normal_(network.denoiser.view.out[-1].weight)
     network(**inputs(config, batch=1)).square().mean().backward()
     without = [name for name, p in network.named_parameters() if p.grad is None or not p.grad.any()]
     assert without == []
@@ -470,6 +493,7 @@ def test_config_survives_json():
         ("width", 0),
         ("width", 64.0),
         ("denoiser_width", 62),
+        ("denoiser_view", 3),
         ("decoder_widths", (30, 16)),
         ("decoder_widths", (32,)),
         ("decoder_widths", (32, 0)),

@@ -136,11 +136,11 @@ def test_a_run_of_the_same_network_goes_on_from_all_weights_without_their_offset
             torch.testing.assert_close(tensor, expected[name], rtol=2**-10, atol=2**-10)
 
 
-def test_a_photo_encoder_can_be_put_on_the_shipped_weights():
+def test_a_photo_encoder_and_a_global_view_can_be_put_on_the_shipped_weights():
     """Until it is trained the network gives the shipped one's logits, less the offset that export took from them."""
     shipped = load_network()
     offset = read_card(DEFAULT_WEIGHTS)["run"]["offset"]
-    larger = build_network(replace(shipped.config, backbone="b0", photo_pool=2, width=16)).eval()
+    larger = build_network(replace(shipped.config, backbone="b0", photo_pool=2, width=16, denoiser_view=1)).eval()
     larger.to(memory_format=torch.channels_last)  # as the loaded one: for the same bits
     load_start(larger, DEFAULT_WEIGHTS)
     draw = torch.Generator().manual_seed(0)

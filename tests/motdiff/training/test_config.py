@@ -131,6 +131,7 @@ def test_a_configuration_is_json_and_back(tmp_path):
         ("[loss]\ndwell = inf", "loss.dwell: must be a finite number"),
         ('[network]\nbackbone = "resnet"', "network.backbone is 'resnet'"),
         ("[network]\ndecoder_widths = [15, 8]", "network.decoder_widths[0] is 15"),
+        ("[network]\ndenoiser_view = 1\n[optimiser]\nwindow = 32", "optimiser.window: must be 64 for a denoiser"),
         ("[network]\nphoto_pool = 3", "network.photo_pool is 3"),
         ('[network]\nbackbone = "none"', "network.physics_channels is 0"),
         ("[motions]\ngyro = 0.5", "motions.gyro_trace: "),

@@ -1,6 +1,6 @@
-"""A small U-Net over physics maps of the photo (lag maps, spectra) on the PSF's own 64x64 grid.
+"""A small U-Net on the PSF's own 64x64 grid: over physics maps of the photo, or over the denoiser's features.
 
-On this grid a place has a meaning of its own (a lag, a frequency): a learned position embedding tells it to every
+On this grid a place has a meaning of its own (a displacement, a lag): a learned position embedding tells it to every
 pixel, and attention at the coarse levels joins places far apart, as a spectrum's symmetric halves are.
 """
 
@@ -12,15 +12,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-__all__ = ["GRID", "PhysicsEncoder"]
+__all__ = ["GRID", "GridUNet"]
 
-GRID = 64  # side of the physics maps
+GRID = 64  # side of the maps
 _HEADS = 4
 _LARGEST = 2.0  # channels grow by half the width per level, up to this multiple
 
 
-class PhysicsEncoder(nn.Module):
-    """Physics maps (B, P, 64, 64) to features (B, width, 64, 64).
+class GridUNet(nn.Module):
+    """Maps (B, C, 64, 64) to features (B, width, 64, 64).
 
     Residual blocks (GroupNorm, SiLU) at `depth` levels below 64x64 with 1, 1.5, 2, 2, ... times `width` channels;
     self-attention at the two coarsest levels; skip connections; a learned position embedding.
@@ -28,14 +28,14 @@ class PhysicsEncoder(nn.Module):
     Parameters
     ----------
     channels : int
-        Number P of maps.
+        Number C of maps.
     width : int
         Channels at 64x64, a multiple of 8.
     depth : int
         Levels below the first: 64 -> 32 -> ... -> 64 / 2^depth.
     patch : int
-        1, or 2: every 2x2 pixels of the maps become channels of one, and the first level works on 32x32, at about a
-        third of the cost.
+        1, 2 or 4: every 2x2 or 4x4 pixels of the maps become channels of one, and the first level works on 32x32 or
+        16x16; 2 costs about a third of 1.
     """
 
     def __init__(self, channels: int, width: int, depth: int, patch: int = 1) -> None:
@@ -55,7 +55,7 @@ class PhysicsEncoder(nn.Module):
         self.out = nn.Sequential(_group_norm(width), nn.SiLU(), nn.Conv2d(width, width * patch**2, 1))
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Features (B, width, 64, 64) of maps (B, P, 64, 64).
+        """Features (B, width, 64, 64) of maps (B, C, 64, 64).
 
         Raises
         ------
