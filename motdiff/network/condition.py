@@ -118,18 +118,19 @@ class ConditionNetwork(nn.Module):
         _check_presence("physics", physics, wanted=self.physics is not None)
         if photo is not None and physics is not None and photo.shape[-2:] != (4 * GRID, 4 * GRID):
             raise ValueError(f"photo has shape {tuple(photo.shape)}; with physics maps it must be (B, 3, 256, 256)")
-        seen = None if self.photo is None else self.photo(photo)  # (B, width, H/4, W/4)
-        known = None if self.physics is None else self.physics(physics)  # (B, physics_width, 64, 64)
-        condition: Tensor = known if seen is None else seen
-        if self.fusion is not None:
-            condition = known + self.fusion(seen)
-        return condition
+        parts: list[Tensor] = []
+        if self.physics is not None:
+            parts.append(self.physics(physics))  # (B, physics_width, 64, 64)
+        if self.photo is not None:
+            seen = self.photo(photo)  # (B, width, H/4, W/4)
+            parts.append(seen if self.fusion is None else self.fusion(seen))
+        return sum(parts[1:], start=parts[0])
 
 
 def _silent_convolution(inputs: int, outputs: int) -> nn.Conv2d:
     layer = nn.Conv2d(inputs, outputs, 1)
-    nn.init.zeros_(layer.weight)
-    nn.init.zeros_(layer.bias)
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)
     return layer
 
 
