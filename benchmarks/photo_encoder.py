@@ -1,6 +1,6 @@
 """What a photo encoder and a global view of the map add to the shipped weights, at an equal number of updates.
 
-    python benchmarks/photo_encoder.py CONFIG [--runs FOLDER] [--updates 200]
+    python benchmarks/photo_encoder.py CONFIG [--runs FOLDER] [--updates 128]
 
 CONFIG is a run's TOML file with prepared samples, as motdiff/configs/cpu.toml. Every row goes on from the shipped
 weights with the same samples in the same order: told of the physics maps, of the photo too, or of the photo alone (all
@@ -90,14 +90,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("config", nargs="?", help="TOML file of a run with prepared samples")
     parser.add_argument("--runs", type=Path, default=Path("photo_encoder"))
-    parser.add_argument("--updates", type=int, default=200)
+    parser.add_argument("--updates", type=int, default=128)
     options = parser.parse_args()
     if options.config is None:
         print("skipped: it needs a run's TOML file, see --help")
         return
     base = read_config(options.config)
-    updates = {"steps": options.updates, "warm_up": options.updates // 8, "rate": 4e-4, "ema": 0.98, "window": 64}
-    base = replace(base, optimiser=replace(base.optimiser, start=str(DEFAULT_WEIGHTS), **updates))
+    steps = {"steps": options.updates, "warm_up": options.updates // 8, "rate": 4e-4, "ema": 0.98}
+    whole = {"start": str(DEFAULT_WEIGHTS), "window": 64, "precision": "bf16"}
+    base = replace(base, optimiser=replace(base.optimiser, **steps, **whole))
     batches = held_out(base)
     reference: dict[str, np.ndarray] = {}
     print("| row | motions | photos | loss | MNC, one step | ten steps | more than the start |")
