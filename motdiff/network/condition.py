@@ -9,7 +9,7 @@ from torch.nn import functional
 from motdiff.network.aggregation import LocalEmphasis, StepwiseAggregation
 from motdiff.network.config import NetworkConfig
 from motdiff.network.pvt import PyramidVisionTransformer
-from motdiff.network.unet import GRID, GridUNet
+from motdiff.network.unet import GRID, GridUNet, silence
 
 __all__ = ["ConditionNetwork", "PhotoEncoder"]
 
@@ -90,7 +90,9 @@ class ConditionNetwork(nn.Module):
             else None
         )
         both = self.photo is not None and self.physics is not None
-        self.fusion = _silent_convolution(config.width, config.physics_width) if both else None
+        self.fusion = nn.Conv2d(config.width, config.physics_width, 1) if both else None
+        if self.fusion is not None:
+            silence(self.fusion)
         self.condition_channels = config.width if self.physics is None else config.physics_width
 
     def condition(self, photo: Tensor | None, physics: Tensor | None) -> Tensor:
@@ -125,13 +127,6 @@ class ConditionNetwork(nn.Module):
             seen = self.photo(photo)  # (B, width, H/4, W/4)
             parts.append(seen if self.fusion is None else self.fusion(seen))
         return sum(parts[1:], start=parts[0])
-
-
-def _silent_convolution(inputs: int, outputs: int) -> nn.Conv2d:
-    layer = nn.Conv2d(inputs, outputs, 1)
-    for parameter in layer.parameters():
-        nn.init.zeros_(parameter)
-    return layer
 
 
 def _check_presence(name: str, value: Tensor | None, *, wanted: bool) -> None:

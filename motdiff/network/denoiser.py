@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from motdiff.network.unet import GridUNet
+from motdiff.network.unet import GridUNet, silence
 
 __all__ = ["Denoiser", "timestep_embedding"]
 
@@ -76,7 +76,9 @@ class Denoiser(nn.Module):
         self.leave = nn.Conv2d(width, width, 3, 1, 1)
         self.mid = nn.Conv2d(width + condition_channels, width, 1)
         self.mid_modulation = _Modulation(time_width, width)
-        self.view = _silent(GridUNet(width, width, view, patch=4)) if view else None
+        self.view = GridUNet(width, width, view, patch=4) if view else None
+        if self.view is not None:
+            silence(self.view.out[-1])
         self.decode = nn.Sequential(
             *(nn.PixelShuffle(grow), nn.Conv2d(width // grow**2, decoder_widths[0], 3, 1, 1), nn.ReLU()),
             *(nn.PixelShuffle(grow), nn.Conv2d(decoder_widths[0] // grow**2, decoder_widths[1], 3, 1, 1), nn.ReLU()),
@@ -180,12 +182,6 @@ class _ResidualBlock(nn.Module):
     def forward(self, x: Tensor, time: Tensor) -> Tensor:
         hidden = functional.relu(self.modulation(self.norm1(self.conv1(x)), time))
         return functional.relu(x + self.norm2(self.conv2(hidden)))
-
-
-def _silent(unet: GridUNet) -> GridUNet:
-    for parameter in unet.out[-1].parameters():
-        nn.init.zeros_(parameter)
-    return unet
 
 
 def _output_layer(inputs: int, outputs: int) -> nn.Conv2d:

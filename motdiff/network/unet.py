@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-__all__ = ["GRID", "GridUNet"]
+__all__ = ["GRID", "GridUNet", "silence"]
 
 GRID = 64  # side of the maps
 _HEADS = 4
@@ -74,6 +74,12 @@ class GridUNet(nn.Module):
             x = outward(torch.cat([x, skip], dim=1))
         features: Tensor = self.unfold(self.out(x))  # (B, width, 64, 64)
         return features
+
+
+def silence(layer: nn.Module) -> None:
+    """Set a layer's parameters to zero: what it is added to begins unchanged, and the layer still learns."""
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)
 
 
 class _Level(nn.Module):
