@@ -8,9 +8,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-__all__ = ["Program"]
+__all__ = ["MAX_CHIP_NS", "Program"]
 
-_MAX_CHIP_NS = 2**63 - 1
+MAX_CHIP_NS = 2**63 - 1
+"""Longest chip, ns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,7 @@ class Program:
             raise ValueError(f"bits has no open chip among {len(self.bits)}: at least one must be 1")
         if isinstance(self.chip_ns, bool) or not isinstance(self.chip_ns, int):
             raise ValueError(f"chip_ns is {self.chip_ns!r}: it must be a whole number of nanoseconds (an int)")
-        if not 0 < self.chip_ns <= _MAX_CHIP_NS:
+        if not 0 < self.chip_ns <= MAX_CHIP_NS:
             raise ValueError(f"chip_ns is {self.chip_ns:.6g} ns: it must be at least 1 and below 2^63")
 
     @classmethod

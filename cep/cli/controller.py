@@ -11,14 +11,13 @@ import typer
 from cep.cli.console import finish, progress, table
 from cep.cli.emulate import emulate
 from cep.cli.options import ChipNs, CodeSource, Json, Seed
-from cep.cli.programs import ClockPpm, Device, LeaseMs, Port, load_program, program_figures
+from cep.cli.programs import ClockPpm, Device, LeaseMs, Port, load_program, open_port, program_figures
 from cep.cli.verify import verify
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from hw.cxp.protocol import Hello, Status
-    from hw.drivers.cxp import Controller
 
 __all__ = ["hw"]
 
@@ -72,7 +71,7 @@ def info(port: Port, as_json: Json = False) -> None:
     from hw.drivers.cxp import PROVEN_FIRMWARE
     from hw.drivers.report import Trust
 
-    with _controller(port) as controller:
+    with open_port(port) as controller:
         status = controller.status()
         told = controller.announced
     level = Trust.A if told.firmware in PROVEN_FIRMWARE else Trust.B
@@ -98,7 +97,7 @@ def load(
     from hw.drivers.report import Trust
 
     program, profile = load_program(code, chip_ns=chip_ns, device=device)
-    with _controller(port) as controller:
+    with open_port(port) as controller:
         problems = controller.check(program, profile=profile)
         if problems:
             raise ValueError("the program cannot be played: " + "; ".join(problems))
@@ -120,7 +119,7 @@ def arm(port: Port, lease_ms: LeaseMs = 10_000, as_json: Json = False) -> None:
     """
     from hw.cxp.protocol import State
 
-    with _controller(port) as controller:
+    with open_port(port) as controller:
         status = controller.arm(lease_ms=lease_ms)
         told = controller.announced
     armed = status.state is State.ARMED
@@ -146,7 +145,7 @@ def trigger(
 
     Example: cep hw trigger --port /dev/ttyACM0
     """
-    with _controller(port) as controller:
+    with open_port(port) as controller:
         status = controller.play(timeout_s=wait_s)
     result = {"port": port, **_status_figures(status), "trust": _ACKNOWLEDGED}
     finish(result, as_json=as_json, show=lambda console: console.print(
@@ -160,7 +159,7 @@ def abort(port: Port, as_json: Json = False) -> None:
 
     Example: cep hw abort --port /dev/ttyACM0
     """
-    with _controller(port) as controller:
+    with open_port(port) as controller:
         status = controller.abort()
     result = {"port": port, **_status_figures(status), "trust": _ACKNOWLEDGED}
     finish(result, as_json=as_json, show=lambda console: console.print(f"{port}: closed, {_name(status)}"))
@@ -180,7 +179,9 @@ def calibrate(
     """
     from hw.cxp.clock import measure_clock
 
-    with _controller(port) as controller, progress("comparing clocks") as tick:
+    if not 0 < seconds < 3600:
+        raise ValueError(f"--seconds: must be above 0 and below 3600, got {seconds:g}")
+    with open_port(port) as controller, progress("comparing clocks") as tick:
         fit = measure_clock(controller, seconds=seconds, progress=tick)
     drifts = (
         "a crystal is within 100 ppm, so this is a ceramic resonator, which drifts with temperature: calibrate it warm"
@@ -200,7 +201,7 @@ def calibrate(
 def monitor(
     port: Port,
     seconds: Annotated[float | None, typer.Option("--seconds", help="Stop after this, s; else at Ctrl-C.")] = None,
-    every_s: Annotated[float, typer.Option("--every", min=0.001, help="Time between two looks, s.")] = 0.05,
+    every_s: Annotated[float, typer.Option("--every", min=0.001, max=3600, help="Time between two looks, s.")] = 0.05,
     as_json: Json = False,
 ) -> None:
     """Watch a controller: a line whenever its state, plays or errors change.
@@ -215,7 +216,7 @@ def monitor(
     changes: list[dict[str, object]] = []
     last: tuple[object, ...] | None = None
     looks = 0
-    with _controller(port) as controller, _until_interrupted():
+    with open_port(port) as controller, _until_interrupted():
         start = time.monotonic()
         while seconds is None or time.monotonic() - start < seconds:
             status = controller.status()
@@ -230,16 +231,10 @@ def monitor(
                         f"missed edges {status.late}  bad frames {status.bad_frames}  CRC32 0x{status.stored_crc32:08x}"
                     )
             last = shown
-            time.sleep(every_s)
+            time.sleep(every_s if seconds is None else min(every_s, max(0.0, start + seconds - time.monotonic())))
     finish({"port": port, "looks": looks, "changes": changes}, as_json=as_json, show=lambda console: console.print(
         f"{port}: {looks} looks, {len(changes)} states seen"
     ))  # fmt: skip
-
-
-def _controller(port: str) -> Controller:
-    from hw.drivers.finding import open_controller
-
-    return open_controller(port)
 
 
 hw.command("verify")(verify)

@@ -34,7 +34,9 @@ def emulate(
         Path | None, typer.Option("--vcd", help="At the end, write what its pins did: shutter, busy, trigger.")
     ] = None,
     firmware: Annotated[Path | None, typer.Option("--firmware", help="Another Intel hex file to run.")] = None,
-    clock_ppm: Annotated[float, typer.Option("--clock-ppm", help="Its clock is this much fast.")] = 0.0,
+    clock_ppm: Annotated[
+        float, typer.Option("--clock-ppm", min=-100_000, max=100_000, help="Its clock is this much fast.")
+    ] = 0.0,
     seconds: Annotated[float | None, typer.Option("--seconds", help="End after this, s; else at Ctrl-C.")] = None,
     force: Force = False,
     as_json: Json = False,
@@ -54,7 +56,9 @@ def emulate(
         raise ValueError(f"BOARD: must be one of {', '.join(_BOARDS)}, got {board[:40]!r}")
     if seconds is not None and not 0 < seconds < 1e9:
         raise ValueError(f"--seconds: must be above 0, got {seconds:g}")
-    claim([path for path in (link, vcd) if path is not None], force=force)
+    if firmware is not None and not firmware.is_file():
+        raise ValueError(f"--firmware: {firmware} is no file, an Intel hex file is needed")
+    claim([path for path in (link, vcd) if path], force=force, inputs=[firmware] if firmware else [])
     uno = EmulatedUno(firmware, clock_ppm=clock_ppm)
     try:
         uno.start()

@@ -12,7 +12,17 @@ import typer
 
 from cep.cli.console import finish
 from cep.cli.options import ChipNs, CodeSource, Force, Json, Seed
-from cep.cli.programs import ClockPpm, Device, LeaseMs, Port, load_program, program_figures
+from cep.cli.programs import (
+    ClockPpm,
+    Device,
+    LeaseMs,
+    Port,
+    files_read,
+    load_program,
+    named_port,
+    open_port,
+    program_figures,
+)
 
 if TYPE_CHECKING:
     from hw.device import DeviceProfile
@@ -53,9 +63,11 @@ def export(
     from cep.outputs import claim, write_text
     from hw.device import DeviceProfile
     from hw.drivers.report import Trust
-    from hw.export import exporter
+    from hw.export import EXPORTERS
 
-    chosen = exporter(file_format)
+    if file_format not in EXPORTERS:
+        raise ValueError(f"--format: must be one of {', '.join(EXPORTERS)}, got {file_format[:40]!r}")
+    chosen = EXPORTERS[file_format]
     program, profile = load_program(code, chip_ns=chip_ns, device=device)
     stem, suffix = Path(code).stem if code.endswith(".json") else "code", chosen.suffix
     # a code is JSON too, and a code.py would hide Python's own module from whatever runs beside it
@@ -113,8 +125,9 @@ def upload(
         raise ValueError("--arm and --play: give one of them, --play arms by itself")
     if clock_ppm and driver != "cxp":
         raise ValueError(f"--clock-ppm: {driver} cannot stretch chips, only cxp does")
+    named_port(port)
     program, profile = load_program(code, chip_ns=chip_ns, device=device)
-    claim([output] if output else [], force=force)
+    claim([output] if output else [], force=force, inputs=files_read(code))
     wish = _Wish(program, profile, port, arm=arm, play=play, lease_ms=lease_ms, clock_ppm=clock_ppm)
     with _UPLOADS[driver](wish) as report:
         result = {
@@ -159,9 +172,7 @@ class _Wish:
 
 @contextmanager
 def _to_cxp(wish: _Wish) -> Iterator[UploadReport]:
-    from hw.drivers.finding import open_controller
-
-    with open_controller(wish.port) as controller:
+    with open_port(wish.port) as controller:
         report = controller.upload(
             wish.program, profile=wish.profile, arm=wish.arm or wish.play, lease_ms=wish.lease_ms,
             clock_ppm=wish.clock_ppm,

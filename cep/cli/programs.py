@@ -1,7 +1,9 @@
-"""What the hardware commands share: options, and a code as the timed program a device is asked to play."""
+"""What the hardware commands share: options, the controller on a port, and a code as a timed program."""
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -10,9 +12,20 @@ from cep.cli.options import load_code
 
 if TYPE_CHECKING:
     from hw.device import DeviceProfile
+    from hw.drivers.cxp import Controller
     from hw.program import Program
 
-__all__ = ["ClockPpm", "Device", "LeaseMs", "Port", "load_program", "program_figures"]
+__all__ = [
+    "ClockPpm",
+    "Device",
+    "LeaseMs",
+    "Port",
+    "files_read",
+    "load_program",
+    "named_port",
+    "open_port",
+    "program_figures",
+]
 
 Port = Annotated[
     str,
@@ -24,7 +37,13 @@ LeaseMs = Annotated[
     int, typer.Option("--lease-ms", min=1, max=65535, help="An armed controller disarms itself after this, ms.")
 ]
 ClockPpm = Annotated[
-    float, typer.Option("--clock-ppm", help="The controller's clock is this fast, as cep hw calibrate found.")
+    float,
+    typer.Option(
+        "--clock-ppm",
+        min=-100_000,
+        max=100_000,
+        help="The controller's clock is this fast, as cep hw calibrate found.",
+    ),
 ]
 Device = Annotated[
     str | None, typer.Option("--device", help="Check against this profile: a built-in name or a .toml file.")
@@ -37,12 +56,15 @@ def load_program(source: str, *, chip_ns: int | None, device: str | None) -> tup
     Raises
     ------
     ValueError
-        If the device cannot play the program: the line lists every limit it breaks.
+        If the chip time is out of range, or the device cannot play the program: the line lists every limit it breaks.
     """
     from hw.device import load_profile
-    from hw.program import Program
+    from hw.program import MAX_CHIP_NS, Program
 
     code = load_code(source, chip_ns=chip_ns).code
+    if code.chip_ns > MAX_CHIP_NS:
+        where = f"{source}: chip time" if chip_ns is None else "--chip-ns:"
+        raise ValueError(f"{where} must be below 2^63 ns, got {code.chip_ns:.6g}")
     program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
     if device is None:
         return program, None
@@ -51,6 +73,31 @@ def load_program(source: str, *, chip_ns: int | None, device: str | None) -> tup
     if problems:
         raise ValueError("the program cannot be played: " + "; ".join(problems))
     return program, profile
+
+
+def open_port(port: str) -> Controller:
+    """Open the controller of ``--port``.
+
+    Raises
+    ------
+    ValueError
+        If it names nothing, or what cannot be opened.
+    """
+    from hw.drivers.finding import open_controller
+
+    return open_controller(named_port(port))
+
+
+def named_port(port: str) -> str:
+    """Return the name that ``--port`` gives, which must not be blank."""
+    if not port.strip():
+        raise ValueError("--port: must name a port, as /dev/ttyACM0 or COM3, a USB serial number or auto")
+    return port
+
+
+def files_read(*sources: str | Path | None) -> list[Path]:
+    """Return those of a command's sources that are files; a code given as bits or by its name is none."""
+    return [Path(source) for source in sources if source is not None and os.path.isfile(source)]
 
 
 def program_figures(program: Program, profile: DeviceProfile | None) -> dict[str, object]:

@@ -9,9 +9,11 @@ import typer
 
 from cep.cli.console import FAILURE, complain, finish, table
 from cep.cli.options import ChipNs, CodeSource, Force, Json, Linear, TrajectoryFile, load_motion
-from cep.cli.programs import ClockPpm, load_program, program_figures
+from cep.cli.programs import ClockPpm, files_read, load_program, open_port, program_figures
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from hw.program import Program
     from hw.recordings.playback import Verification
 
@@ -51,6 +53,14 @@ def verify(
     """
     if (port is None) == (capture is None):
         raise ValueError("--port PORT or --capture FILE: exactly one of them is needed")
+    with_capture = {
+        "--signal": signal, "--trigger": trigger, "--trajectory": trajectory, "--linear": linear, "-o": output,
+    }  # fmt: skip
+    unused = [option for option, value in with_capture.items() if value is not None] if port is not None else []
+    if unused:
+        raise ValueError(f"{unused[0]}: not valid with --port, only with --capture")
+    if capture is not None and clock_ppm:
+        raise ValueError("--clock-ppm: not valid with --capture, only with --port")
     program, _ = load_program(code, chip_ns=chip_ns, device=None)
     if port is not None:
         _held(program, port, clock_ppm=clock_ppm, as_json=as_json)
@@ -60,7 +70,7 @@ def verify(
     from hw.recordings.playback import align
 
     motion = None if trajectory is None and linear is None else load_motion(trajectory, linear).trajectory
-    _claim(output, with_psf=motion is not None, force=force)
+    _claim(output, with_psf=motion is not None, force=force, inputs=files_read(code, capture, trajectory))
     recording = read_capture(capture)
     trace = recording.trace(signal)
     plays = align(trace, program, trigger=recording.trace(trigger) if trigger else None)
@@ -87,10 +97,9 @@ def verify(
 
 def _held(program: Program, port: str, *, clock_ppm: float, as_json: bool) -> None:
     from hw.drivers.cxp import PROVEN_FIRMWARE
-    from hw.drivers.finding import open_controller
     from hw.drivers.report import Trust
 
-    with open_controller(port) as controller:
+    with open_port(port) as controller:
         controller.verify(program, clock_ppm=clock_ppm)
         firmware = controller.announced.firmware
     trust = Trust.A if firmware in PROVEN_FIRMWARE else Trust.B
@@ -106,14 +115,14 @@ def _psf_stem(output: Path) -> str:
     return f"{output.stem}_psf"
 
 
-def _claim(output: Path | None, *, with_psf: bool, force: bool) -> None:
+def _claim(output: Path | None, *, with_psf: bool, force: bool, inputs: Sequence[Path]) -> None:
     from cep.files import PSF_SUFFIXES
     from cep.outputs import claim
 
     if output is None:
         return
     beside = [output.with_name(_psf_stem(output) + suffix) for suffix in PSF_SUFFIXES] if with_psf else []
-    claim([output, *beside], force=force)
+    claim([output, *beside], force=force, inputs=inputs)
 
 
 def _write(output: Path, play: Verification, program: Program, motion: Any) -> list[Path]:

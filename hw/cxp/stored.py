@@ -76,12 +76,12 @@ def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) ->
     units = round(exact * 65536) if hello.fractions else round(exact) * 65536
     ticks, fraction = divmod(units, 65536)
     if not clock_ppm and program.chip_ns % hello.tick_ns:
-        raise ValueError(f"chip_ns is {program.chip_ns}: it must be whole ticks of {hello.tick_ns} ns")
+        raise ValueError(f"chip of {program.chip_ns} ns is not a whole number of the device's {hello.tick_ns} ns ticks")
     if not hello.min_ticks <= ticks <= hello.max_ticks - (fraction > 0):
         least, most = hello.min_ticks * hello.tick_ns, hello.max_ticks * hello.tick_ns
-        raise ValueError(f"chip_ns is {program.chip_ns}: the device plays chips of {least} to {most} ns")
+        raise ValueError(f"chip of {program.chip_ns} ns cannot be played: the device takes {least} to {most} ns")
     if program.chips > hello.max_chips:
-        raise ValueError(f"program has {program.chips} chips: the device plays at most {hello.max_chips}")
+        raise ValueError(f"code of {program.chips} chips is too long: the device plays at most {hello.max_chips}")
     return Stored(program.bits, ticks, fraction)
 
 

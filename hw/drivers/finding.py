@@ -44,9 +44,7 @@ def open_controller(port: str) -> Controller:
         return Controller.open(port)
     names = [info.port for info, answer in ask_ports() if isinstance(answer, Hello)]
     if not names:
-        raise PortError(
-            "port is auto, but no serial port answers as a shutter controller: plug it in, or name its port"
-        )
+        raise PortError("auto finds no shutter controller, no serial port answers as one: plug it in, or name its port")
     if len(names) > 1:
-        raise PortError(f"port is auto, but {' and '.join(names)} are shutter controllers: name one of them")
+        raise PortError(f"auto finds {' and '.join(names)}, all shutter controllers: name one of them")
     return Controller.open(names[0])

@@ -101,7 +101,7 @@ class EmulatedUno:
                 start_new_session=True,  # Ctrl-C on our terminal must not end it before its pins have been asked for
             )  # fmt: skip
             try:
-                word, self._port = self._line().split(" ", 1)
+                word, self._port = self._line(f"emulated Uno refuses {self.firmware or 'its firmware'}").split(" ", 1)
                 if word != "PTY":
                     raise EmulationError(f"emulated Uno says {word} {self._port}: a port was expected")
             except BaseException:
@@ -225,12 +225,12 @@ class EmulatedUno:
             board.stdin.write(command + "\n")
             board.stdin.flush()
 
-    def _line(self) -> str:
+    def _line(self, failed: str = "emulated Uno has stopped") -> str:
         board = self._running()
         assert board.stdout is not None
         line = board.stdout.readline().rstrip("\n")
         if not line or line.startswith("ERROR"):
-            raise EmulationError(f"emulated Uno has stopped: {line.removeprefix('ERROR ') or 'it was ended'}")
+            raise EmulationError(f"{failed}: {line.removeprefix('ERROR ') or 'it was ended'}")
         return line
 
     def _end(self) -> None:

@@ -21,7 +21,7 @@ from hw.export import (
 )
 from hw.program import Program
 
-__all__ = ["EXPORTERS", "Exporter", "exporter"]
+__all__ = ["EXPORTERS", "Exporter"]
 
 
 class Exporter(Protocol):
@@ -57,17 +57,3 @@ EXPORTERS: Mapping[str, Exporter] = MappingProxyType(
     }
 )
 """Format name to exporter."""
-
-
-def exporter(name: str) -> Exporter:
-    """Find the exporter of a format.
-
-    Raises
-    ------
-    ValueError
-        If the format is unknown.
-    """
-    try:
-        return EXPORTERS[name]
-    except KeyError:
-        raise ValueError(f"export format {name!r} is unknown: known are {', '.join(EXPORTERS)}") from None

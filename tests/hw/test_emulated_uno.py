@@ -92,7 +92,7 @@ def test_a_firmware_that_is_none_is_refused(tmp_path):
     require_simavr()
     for text in ("", "this is no firmware\n"):
         (tmp_path / "bad.hex").write_text(text)
-        with pytest.raises(EmulationError, match="has stopped: the firmware is no Intel hex file"):
+        with pytest.raises(EmulationError, match=r"bad\.hex: the firmware is no Intel hex file"):
             EmulatedUno(tmp_path / "bad.hex").start()
 
 

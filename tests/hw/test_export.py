@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hw.device import DeviceProfile
-from hw.export import EXPORTERS, exporter
+from hw.export import EXPORTERS
 from hw.export.pulsepal import pulse_train
 from hw.export.scpi import commands, sample_rate, samples
 from hw.program import Program
@@ -356,14 +356,6 @@ def test_scpi_script_is_the_commands_line_by_line():
     assert tuple(line for line in script.splitlines() if not line.startswith("#")) == commands(program)
     assert "FUNC:ARB:SRAT 3333.333333" in script
     assert "DATA:ARB SHUTTER,-1,1,-1,1,-1,-1,-1,-1" in script
-
-
-def test_unknown_format():
-    with pytest.raises(
-        ValueError, match=r"'vhs' is unknown: known are csv, json, vcd, c, arduino, rp2, pulsepal, scpi"
-    ):
-        exporter("vhs")
-    assert exporter("csv") is EXPORTERS["csv"]
 
 
 def test_suffixes_differ_and_every_format_says_what_it_is():

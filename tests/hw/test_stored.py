@@ -50,7 +50,7 @@ def test_a_device_without_fractions_takes_the_nearest_tick():
 @pytest.mark.parametrize(
     ("chip_ns", "chips", "ppm", "words"),
     [
-        (200_100, 52, 0, "whole ticks of 500 ns"),
+        (200_100, 52, 0, "500 ns ticks"),
         (65536 * 500, 52, 0, "50000 to 32767500 ns"),
         (49_500, 52, 0, "50000 to 32767500 ns"),
         (65535 * 500, 52, 10, "50000 to 32767500 ns"),
