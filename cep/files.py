@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cep.code import ShutterCode
 from cep.images import read_photo
-from cep.outputs import new_file, write_text
+from cep.outputs import new_files, write_bytes, write_text
 from motdiff.crops import luminance
 
 __all__ = [
@@ -149,7 +149,9 @@ def json_text(value: object) -> str:
 
 
 def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple[Path, Path, Path]:
-    """Write a PSF as ``.npy`` (float32), ``.mat`` (variable ``psf``) and, for people, ``.png`` (largest value white).
+    """Write a PSF as ``.npy`` (float32), ``.mat`` (variable ``psf``) and, for people, ``.png``, all three or none.
+
+    In the ``.png`` the largest value is white.
 
     Parameters
     ----------
@@ -169,12 +171,12 @@ def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple
     grey = np.rint(255 * kernel / max(float(kernel.max()), float(np.finfo(np.float32).tiny))).astype(np.uint8)
     stored = BytesIO()
     np.save(stored, kernel)  # to a file it would not say why a disk took no more
-    with new_file(paths[0]) as temporary:
-        temporary.write_bytes(stored.getvalue())
-    with new_file(paths[1]) as temporary, temporary.open("wb") as stream:
-        savemat(stream, {"psf": kernel.astype(np.float64)})
-    with new_file(paths[2]) as temporary:
-        temporary.write_bytes(cv2.imencode(".png", grey)[1].tobytes())
+    matlab = BytesIO()
+    savemat(matlab, {"psf": kernel.astype(np.float64)})
+    contents = (stored.getvalue(), matlab.getvalue(), cv2.imencode(".png", grey)[1].tobytes())
+    with new_files(paths) as made:
+        for path, content in zip(paths, contents, strict=True):
+            write_bytes(made[path], content)
     return paths[0], paths[1], paths[2]
 
 

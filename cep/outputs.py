@@ -1,16 +1,25 @@
-"""One policy for output paths: refuse what exists, write under a temporary name, rename when whole."""
+"""One policy for output paths: refuse what exists, write under temporary names, rename when all is written."""
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
-import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["claim", "claim_folder", "new_file", "new_folder", "write_text"]
+from motdiff.outputs import (
+    behind_links,
+    hidden_folder,
+    naming,
+    new_file,
+    new_files,
+    replace_all,
+    write_bytes,
+    write_text,
+)
+
+__all__ = ["claim", "claim_folder", "new_file", "new_files", "new_folder", "write_bytes", "write_text"]
 
 
 def claim(paths: Iterable[Path | str], *, force: bool = False, inputs: Iterable[Path | str] = ()) -> None:
@@ -39,7 +48,7 @@ def claim(paths: Iterable[Path | str], *, force: bool = False, inputs: Iterable[
             raise ValueError(f"{path}: is not a regular file")
         if path.exists() and not force:
             raise ValueError(f"{path}: exists already, use --force to replace it")
-        folder = _behind_links(path).parent
+        folder = behind_links(path).parent
         if not folder.exists():
             raise ValueError(f"{path}: there is no folder {folder}")
         if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
@@ -72,37 +81,6 @@ def claim_folder(path: Path | str, names: Iterable[str], *, force: bool = False)
 
 
 @contextmanager
-def new_file(path: Path | str) -> Iterator[Path]:
-    """Yield a temporary name beside ``path`` with the same suffix; on leaving well it becomes ``path``.
-
-    A symbolic link stays: the file it leads to is replaced.
-
-    Raises
-    ------
-    OSError
-        If writing fails, as on a full disk; the error carries ``path``.
-    """
-    target = _behind_links(Path(path))
-    with _named(path):
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}.", suffix=Path(path).suffix)
-        os.close(handle)
-        temporary = Path(name)
-        try:
-            yield temporary
-            temporary.chmod(0o666 & ~_umask())
-            temporary.replace(target)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-
-
-def write_text(path: Path | str, text: str) -> None:
-    """Write ``text`` as UTF-8 through :func:`new_file`."""
-    with new_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="")
-
-
-@contextmanager
 def new_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -> Iterator[Path]:
     """Yield a temporary folder; on leaving well what it holds appears in ``path``, otherwise nothing does.
 
@@ -125,61 +103,29 @@ def new_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -
     names = tuple(names)
     target = Path(path)
     claim_folder(target, names, force=force)
-    # within the nearest folder there is: renaming must not cross file systems
-    with _named(path):
-        temporary = Path(tempfile.mkdtemp(dir=_nearest(target), prefix=f".{target.name}."))
-    try:
-        with _named(path, instead_of=temporary):
-            yield temporary
+    missing = [folder for folder in (target, *target.parents) if not folder.exists()]
+    with ExitStack() as stack:
+        # within the nearest folder there is: renaming must not cross file systems
+        temporary = stack.enter_context(hidden_folder(_nearest(target), target))
+        stack.enter_context(naming({temporary: target}, target))
+        yield temporary
+        written = {item.name: item for item in sorted(temporary.iterdir())}
+        for name in written:
+            if (target / name).is_symlink():  # where the link leads may be another file system
+                real = behind_links(target / name)
+                beside = stack.enter_context(hidden_folder(real.parent, target / name)) / real.name
+                written[name] = shutil.copyfile(written[name], beside)
+        try:
             target.mkdir(parents=True, exist_ok=True)
-            written = sorted(temporary.iterdir())
-            for item in written:
-                _put(item, target / item.name)
-            for name in set(names) - {item.name for item in written}:
-                (target / name).unlink(missing_ok=True)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _put(item: Path, place: Path) -> None:
-    if place.is_symlink():
-        # where the link leads may be another file system
-        with new_file(place) as temporary:
-            shutil.copyfile(item, temporary)
-    else:
-        item.replace(place)
-
-
-@contextmanager
-def _named(path: Path | str, *, instead_of: Path | None = None) -> Iterator[None]:
-    """Give an OSError of writing the output's name: where it has none, or one that only we know.
-
-    Without ``instead_of`` any temporary name beside ``path`` counts as such.
-    """
-    try:
-        yield
-    except OSError as error:
-        name, hidden = Path(path), (instead_of or _behind_links(Path(path)).parent).absolute()
-        if isinstance(error.filename, str | Path):
-            known = Path(error.filename).absolute()
-            if hidden not in (known, *known.parents):
-                raise
-            name = name / known.relative_to(hidden) if instead_of else name
-        # errno is missing where a library counted the bytes written itself
-        raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(name)) from error
-
-
-def _behind_links(path: Path) -> Path:
-    """Return the file that a symbolic link leads to, anything else as it is."""
-    return Path(os.path.realpath(path)) if path.is_symlink() else path
+            new = {behind_links(target / name): item for name, item in written.items()}
+            replace_all(new, remove=[target / name for name in names if name not in written])
+        except BaseException:
+            for folder in missing:
+                with suppress(OSError):  # it was not made, or something else is in it
+                    folder.rmdir()
+            raise
 
 
 def _nearest(folder: Path) -> Path:
     """Return the folder itself or the nearest one above it that exists."""
     return next(path for path in (folder, *folder.absolute().parents) if path.exists())
-
-
-def _umask() -> int:
-    umask = os.umask(0)
-    os.umask(umask)
-    return umask

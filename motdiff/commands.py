@@ -207,7 +207,7 @@ def _sample(given: argparse.Namespace) -> None:
     from motdiff.estimators.judge import noise_sigma
     from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
     from motdiff.evaluation.pictures import drawn_sheet
-    from motdiff.files import write_bytes_atomically
+    from motdiff.outputs import write_bytes
     from motdiff.simulate import to_linear
     from motdiff.weights import DEFAULT_WEIGHTS, load_network
 
@@ -226,7 +226,7 @@ def _sample(given: argparse.Namespace) -> None:
     generator = torch.Generator().manual_seed(given.seed)
     network = load_network(given.weights or DEFAULT_WEIGHTS)
     psfs = draw_psfs(network, light, told, count=given.count, steps=given.steps, generator=generator)
-    write_bytes_atomically(given.out, drawn_sheet(light[0], told, psfs))
+    write_bytes(given.out, drawn_sheet(light[0], told, psfs))
 
 
 def _add_eval(commands: _Commands[argparse.ArgumentParser]) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,9 +10,10 @@ from typing import Any, cast
 
 import numpy as np
 
+from motdiff.outputs import write_text
 from motdiff.trajectory import Direction, Trajectory
 
-__all__ = ["SCHEMA", "StoredMotion", "read_motion", "write_bytes_atomically", "write_motion", "write_text_atomically"]
+__all__ = ["SCHEMA", "StoredMotion", "read_motion", "write_motion"]
 
 SCHEMA = "cep.trajectory/1"
 _FARTHEST_PX = 1e5
@@ -59,7 +58,7 @@ def write_motion(path: Path | str, motion: StoredMotion) -> None:
         "alternatives": [{"weight": weight, **_samples(other)} for weight, other in motion.alternatives],
         "source": dict(motion.source),
     }
-    write_text_atomically(path, json.dumps(document, indent=1) + "\n")
+    write_text(path, json.dumps(document, indent=1) + "\n")
 
 
 def read_motion(path: Path | str) -> StoredMotion:
@@ -96,42 +95,6 @@ def read_motion(path: Path | str) -> StoredMotion:
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         reason = f"field {error} is missing" if isinstance(error, KeyError) else str(error)
         raise ValueError(f"{path}: {reason}") from None
-
-
-def write_text_atomically(path: Path | str, text: str) -> None:
-    """Write ``text`` as UTF-8, see :func:`write_bytes_atomically`."""
-    write_bytes_atomically(path, text.encode("utf-8"))
-
-
-def write_bytes_atomically(path: Path | str, data: bytes) -> None:
-    """Write ``data`` under a temporary name, then rename: readers never see half a file.
-
-    Parameters
-    ----------
-    path : path of the file
-    data : bytes
-
-    Raises
-    ------
-    OSError
-        If it cannot be written; the error names ``path`` and nothing is left behind.
-    """
-    target = Path(path)
-    temporary: str | None = None
-    try:
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
-        umask = os.umask(0)
-        os.umask(umask)
-        Path(temporary).chmod(0o666 & ~umask)
-        Path(temporary).replace(target)
-    except BaseException as error:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.errno is not None:  # a full disk does not say which file
-            raise type(error)(error.errno, error.strerror, str(target)) from error
-        raise
 
 
 def _samples(trajectory: Trajectory) -> dict[str, list[float]]:

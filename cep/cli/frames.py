@@ -60,7 +60,7 @@ def optimize_frames(
 
     from cep.cli.search_options import on_the_circle
     from cep.files import StoredCode, write_code
-    from cep.outputs import claim
+    from cep.outputs import claim, new_files
     from cep.search.annealing.joint import joint_figures
     from hw.program import Program
 
@@ -74,9 +74,9 @@ def optimize_frames(
             raise ValueError(f"no codes were found that the device can play: {'; '.join(problems)}")
     bits = [code.bits for code in codes]
     described = {**described, "frames": frames, "bits_of_frames": bits, "steps": found.steps}
-    for number, (file, code) in enumerate(zip(files, codes, strict=True), 1):
-        # already: Ctrl-C from here on must not lose them
-        write_code(file, StoredCode(code, problem={**described, "frame": number}))
+    with new_files(files) as made:  # already: Ctrl-C from here on must not lose them
+        for number, (file, code) in enumerate(zip(files, codes, strict=True), 1):
+            write_code(made[file], StoredCode(code, problem={**described, "frame": number}))
     circle = replace(problem, scenarios=()) if on_the_circle(problem) else None
 
     def together(choice: list[ShutterCode]) -> dict[str, Any]:
@@ -85,8 +85,9 @@ def optimize_frames(
 
     joint, repeated = together(codes), together([single] * frames)
     each = [problem.measure(code) for code in codes]
-    for number, (file, code, metrics) in enumerate(zip(files, codes, each, strict=True), 1):
-        write_code(file, StoredCode(code, metrics.to_dict(), {**described, "frame": number, "joint": joint}))
+    with new_files(files) as made:
+        for number, (file, code, metrics) in enumerate(zip(files, codes, each, strict=True), 1):
+            write_code(made[file], StoredCode(code, metrics.to_dict(), {**described, "frame": number, "joint": joint}))
     result = {
         "files": files,
         "bits": bits,

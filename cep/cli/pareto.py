@@ -84,7 +84,7 @@ def pareto(
     from cep.baselines.published import for_chips
     from cep.cli.search_options import DIRECTIONS, open_limits
     from cep.files import FRONT_SCHEMA, json_text
-    from cep.outputs import claim, write_text
+    from cep.outputs import claim, new_files, write_text
     from cep.plots.canvas import save
     from cep.plots.pareto import pareto_figure
     from cep.search.fronts.front import knees
@@ -141,8 +141,9 @@ def pareto(
             "seed": seed,
         },
     }
-    write_text(output, json_text(document))
-    save(pareto_figure(front, published), picture)
+    with new_files([output, picture]) as made:
+        write_text(made[output], json_text(document))
+        save(pareto_figure(front, published), made[picture])
     warnings = ["the search was stopped early, this is the front so far"] if front.interrupted else []
     if front.sampled:
         warnings.append("along a curved path minima over samples prove nothing: the front is over noise and light")

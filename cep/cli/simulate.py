@@ -56,7 +56,7 @@ def simulate(
     from cep.exposure import coded_psf
     from cep.files import PSF_SUFFIXES, write_psf
     from cep.images import check_image_name, parse_gamma, read_photo, write_image
-    from cep.outputs import claim
+    from cep.outputs import claim, new_folder
 
     parse_gamma(gamma)
     motion = load_motion(trajectory, linear).trajectory
@@ -66,15 +66,18 @@ def simulate(
     target = output or sharp.with_name(f"{sharp.stem}_{'open' if code is None else 'coded'}.png")
     check_image_name(target)
     stem = f"{target.stem}_psf"
-    claim([target, *(target.with_name(stem + suffix) for suffix in PSF_SUFFIXES)], force=force, inputs=[sharp])
+    names = [target.name, *(stem + suffix for suffix in PSF_SUFFIXES)]
+    claim([target.with_name(name) for name in names], force=force, inputs=[sharp])
     photo = read_photo(sharp, gamma=gamma)
     with progress("exposing"):
         # the smallest odd frame: a larger one would only cut more off the photo
         tight = coded_psf(motion, shutter, size=motion.frame_size() | 1)
         taken = capture(photo.pixels, tight, noise, rng=np.random.default_rng(seed))
         psf = coded_psf(motion, shutter, size=max(64, motion.frame_size()))
-    write_image(target, taken, bits=16, gamma=gamma)
-    psf_file = write_psf(target.parent, psf, stem=stem)[0]
+    with new_folder(target.parent, names, force=force) as made:
+        write_image(made / target.name, taken, bits=16, gamma=gamma)
+        write_psf(made, psf, stem=stem)
+    psf_file = target.with_name(names[1])
     result = {
         "image": target,
         "psf": psf_file,

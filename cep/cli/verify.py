@@ -66,17 +66,19 @@ def verify(
         _held(program, port, clock_ppm=clock_ppm, as_json=as_json)
         return
     assert capture is not None
+    from cep.outputs import claim, new_folder
     from hw.recordings.capture import read_capture
     from hw.recordings.playback import align
 
     motion = None if trajectory is None and linear is None else load_motion(trajectory, linear).trajectory
-    _claim(output, with_psf=motion is not None, force=force, inputs=files_read(code, capture, trajectory))
+    written = _outputs(output, with_psf=motion is not None)
+    claim(written, force=force, inputs=files_read(code, capture, trajectory))
     recording = read_capture(capture)
     trace = recording.trace(signal)
     plays = align(trace, program, trigger=recording.trace(trigger) if trigger else None)
-    written: list[Path] = []
     if output is not None:
-        written = _write(output, plays[0], program, motion)
+        with new_folder(output.parent, [path.name for path in written], force=force) as made:
+            _write(made / output.name, plays[0], program, motion)
     wrong = [(index, play) for index, play in enumerate(plays, start=1) if play.problems or not play.same_bits]
     result = {
         "file": capture, "signal": trace.name, **program_figures(program, None), "played": not wrong,
@@ -115,27 +117,25 @@ def _psf_stem(output: Path) -> str:
     return f"{output.stem}_psf"
 
 
-def _claim(output: Path | None, *, with_psf: bool, force: bool, inputs: Sequence[Path]) -> None:
+def _outputs(output: Path | None, *, with_psf: bool) -> list[Path]:
     from cep.files import PSF_SUFFIXES
-    from cep.outputs import claim
 
     if output is None:
-        return
+        return []
     beside = [output.with_name(_psf_stem(output) + suffix) for suffix in PSF_SUFFIXES] if with_psf else []
-    claim([output, *beside], force=force, inputs=inputs)
+    return [output, *beside]
 
 
-def _write(output: Path, play: Verification, program: Program, motion: Any) -> list[Path]:
+def _write(output: Path, play: Verification, program: Program, motion: Any) -> None:
     from cep.achieved import achieved_code, achieved_psf
     from cep.files import StoredCode, write_code, write_psf
 
     code = achieved_code(play, chip_ns=program.chip_ns)
-    psf = None
+    write_code(output, StoredCode(code, problem={"played": play.verdict}))
     if motion is not None:
         size = max(64, 2 * motion.frame_size())  # a slow clock goes on beyond the motion that was asked for
         psf = achieved_psf(motion, play, chip_ns=program.chip_ns, size=size)
-    write_code(output, StoredCode(code, problem={"played": play.verdict}))
-    return [output] if psf is None else [output, *write_psf(output.parent, psf, stem=_psf_stem(output))]
+        write_psf(output.parent, psf, stem=_psf_stem(output))
 
 
 def _figures(play: Verification) -> dict[str, object]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from motdiff.evaluation.pictures import contact_sheet, reliability_plot
 from motdiff.evaluation.run import Outcome
 from motdiff.evaluation.tables import calibration, calibration_text, summaries_csv, summary_text, summed_up
-from motdiff.files import write_bytes_atomically, write_text_atomically
+from motdiff.outputs import new_files, write_bytes
 
 __all__ = ["report_document", "report_text", "write_report"]
 
@@ -56,12 +56,17 @@ def write_report(outcome: Outcome, document: Mapping[str, object], out: Path) ->
     """
     if not outcome.rows:
         return
-    write_text_atomically(out / "tables.csv", summaries_csv(summed_up(outcome.rows)))
-    write_text_atomically(out / "tables.json", json.dumps(document, indent=1) + "\n")
+    contents = {
+        "tables.csv": summaries_csv(summed_up(outcome.rows)).encode(),
+        "tables.json": (json.dumps(document, indent=1) + "\n").encode(),
+    }
     if bins := calibration(outcome.rows):
-        write_bytes_atomically(out / "reliability.png", reliability_plot(bins))
+        contents["reliability.png"] = reliability_plot(bins)
     for name, kernels in outcome.kernels.items():
-        write_bytes_atomically(out / f"sheet_{name}.png", contact_sheet(outcome.shown[name], kernels))
+        contents[f"sheet_{name}.png"] = contact_sheet(outcome.shown[name], kernels)
+    with new_files(out / name for name in contents) as made:
+        for name, content in contents.items():
+            write_bytes(made[out / name], content)
 
 
 def _plain(value: object) -> object:

@@ -8,7 +8,7 @@ import math
 import sys
 from pathlib import Path
 
-from motdiff.files import write_bytes_atomically
+from motdiff.outputs import write_bytes
 from motdiff.training.loop import Losses
 
 __all__ = ["RunLog", "read_log"]
@@ -109,7 +109,7 @@ class RunLog:
         right.set_ylabel("validation MNC", color="C1")
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=120)
-        write_bytes_atomically(self._folder / "progress.png", picture.getvalue())
+        write_bytes(self._folder / "progress.png", picture.getvalue())
 
 
 def read_log(path: Path | str) -> list[dict[str, float]]:

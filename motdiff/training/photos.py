@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from motdiff.files import write_bytes_atomically
+from motdiff.outputs import write_bytes
 
 __all__ = ["PICTURES", "crops", "load_photos", "pack_photos", "split_photos"]
 
@@ -81,7 +81,7 @@ def pack_photos(source: Path | str, target: Path | str, *, most_px: int = 512, q
             pack.writestr(f"{number:05d}_{Path(name).stem}.jpg", encoded.tobytes())
         if not pack.namelist():
             raise ValueError(f"{source}: holds no photo to pack")
-    write_bytes_atomically(target, buffer.getvalue())
+    write_bytes(target, buffer.getvalue())
     return len(buffer.getvalue())
 
 

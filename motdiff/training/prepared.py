@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from motdiff.outputs import new_file
 from motdiff.training.motion_bank import MAP_PX, MotionMix, build_bank
 from motdiff.training.samples import PHOTO_PX, Samples, simulate
 from motdiff.training.simulation import Photography
@@ -83,15 +84,14 @@ def read_shards(folder: Path | str) -> Samples:
 def _write(file: Path, samples: Samples) -> None:
     grey = samples.photos.mean(dim=1, keepdim=True).clamp(0, 1).sqrt()
     path = samples.x0 > 0
-    partial = file.with_suffix(".partial.npz")
-    np.savez(
-        partial,
-        photos=(255 * grey).round().to(torch.uint8).numpy(),
-        kernels=samples.kernels.half().numpy(),
-        x0=np.packbits(path.numpy().reshape(len(samples), -1), axis=1),
-        dwell=samples.dwell[path].half().numpy(),
-    )
-    partial.replace(file)
+    with new_file(file) as temporary:
+        np.savez(
+            temporary,
+            photos=(255 * grey).round().to(torch.uint8).numpy(),
+            kernels=samples.kernels.half().numpy(),
+            x0=np.packbits(path.numpy().reshape(len(samples), -1), axis=1),
+            dwell=samples.dwell[path].half().numpy(),
+        )
 
 
 def _read(file: Path) -> Samples:

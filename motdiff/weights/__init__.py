@@ -11,9 +11,9 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
-from motdiff.files import write_bytes_atomically
 from motdiff.half_weights import halved, read_header, read_tensors
 from motdiff.network import MotDiffNetwork, NetworkConfig, PathNetwork, build_network
+from motdiff.outputs import write_bytes
 from motdiff.training.checkpoint import read_checkpoint
 
 __all__ = [
@@ -86,7 +86,7 @@ def export_weights(
         "card": json.dumps(dict(card or {})),
     }
     data = _in_order(save(tensors, header), header)
-    write_bytes_atomically(Path(target), data)
+    write_bytes(Path(target), data)
     return len(data)
 
 

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from full_disk import full_disk
 from scipy import io
 
 from motdiff.commands import run
@@ -187,3 +188,22 @@ def test_every_file_of_weights_is_a_row(tmp_path, monkeypatch):
     assert list(named_estimators(["motdiff"])) == ["motdiff"]
     with pytest.raises(ValueError, match="weights: need different file names"):
         named_estimators(["motdiff"], files)
+
+
+def test_the_report_is_whole_or_not_there(evaluate, tmp_path, monkeypatch):
+    """Rows are kept as they come; the tables and pictures made of them appear together."""
+    monkeypatch.setattr("motdiff.evaluation.report.contact_sheet", lambda *_: b"sheet")
+    monkeypatch.setattr("motdiff.evaluation.report.reliability_plot", lambda *_: b"plot")
+    options = ("--set", "paper", "--count", "1", "--no-restore")
+    with full_disk(monkeypatch) as written:
+        assert evaluate(*options) == 0
+    report = {"tables.csv", "tables.json", "reliability.png", "sheet_paper.png"}
+    assert {item.name for item in (tmp_path / "out").iterdir()} == {*report, "rows.csv"}
+    for item in report:
+        (tmp_path / "out" / item).write_text("old")
+    for number in range(2, len(written)):  # from after the folder and rows.csv
+        with full_disk(monkeypatch, writes=number):
+            assert evaluate(*options) == 1
+        assert {item.name: item.read_text() for item in (tmp_path / "out").iterdir() if item.name != "rows.csv"} == (
+            dict.fromkeys(report, "old")
+        )

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motdiff.files import SCHEMA, StoredMotion, read_motion, write_motion, write_text_atomically
+from motdiff.files import SCHEMA, StoredMotion, read_motion, write_motion
 from motdiff.motions import boracchi_foi, quadratic
+from motdiff.outputs import write_text
 from motdiff.trajectory import Trajectory
 
 
@@ -134,13 +135,13 @@ def test_missing_file(tmp_path: Path) -> None:
 
 def test_writing_leaves_the_old_file_when_it_fails(tmp_path: Path) -> None:
     path = tmp_path / "t.json"
-    write_text_atomically(path, "old")
+    write_text(path, "old")
     with pytest.raises(UnicodeEncodeError):
-        write_text_atomically(path, "half \ud800")
+        write_text(path, "half \ud800")
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["t.json"]
     with pytest.raises(FileNotFoundError):
-        write_text_atomically(tmp_path / "no" / "t.json", "text")
+        write_text(tmp_path / "no" / "t.json", "text")
 
 
 def test_source_must_be_json(tmp_path: Path) -> None:

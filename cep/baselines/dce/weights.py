@@ -11,8 +11,8 @@ from safetensors.torch import save
 from cep.baselines.dce.binarise import code_of
 from cep.baselines.dce.card import SCHEMA, read_card
 from cep.baselines.dce.network import RestorationNetwork
-from motdiff.files import write_bytes_atomically
 from motdiff.half_weights import fill, halved
+from motdiff.outputs import write_bytes
 from motdiff.training.checkpoint import read_checkpoint
 
 __all__ = ["export_weights", "load_network"]
@@ -49,7 +49,7 @@ def export_weights(checkpoint: Path | str, target: Path | str, *, notes: Mapping
     }
     # safetensors shuffles a header's entries: one alone gives the same bytes for the same run
     data = save(tensors, {SCHEMA: json.dumps(card)})
-    write_bytes_atomically(Path(target), data)
+    write_bytes(Path(target), data)
     return len(data)
 
 

@@ -14,8 +14,8 @@ from safetensors.torch import save
 from torch import Tensor
 
 from cep.restore.denoiser.network import DenoisingNetwork
-from motdiff.files import write_bytes_atomically
 from motdiff.half_weights import fill, halved, read_header
+from motdiff.outputs import write_bytes
 
 __all__ = ["SCHEMA", "SHIPPED", "load_denoiser", "read_card", "write_weights"]
 
@@ -34,7 +34,7 @@ def write_weights(state: Mapping[str, Tensor], target: Path | str, *, about: Map
         If float16 cannot hold them.
     """
     data = save(halved(state, source=target), {SCHEMA: json.dumps(about)})
-    write_bytes_atomically(Path(target), data)
+    write_bytes(Path(target), data)
     return len(data)
 
 

@@ -1,0 +1,188 @@
+"""Output files that appear whole and together: written under temporary names, renamed when all are written."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+__all__ = [
+    "behind_links",
+    "hidden_folder",
+    "naming",
+    "new_file",
+    "new_files",
+    "replace_all",
+    "write_bytes",
+    "write_text",
+]
+
+
+@contextmanager
+def new_files(paths: Iterable[Path | str]) -> Iterator[dict[Path, Path]]:
+    """Yield a temporary name for each file; on leaving well all files appear together, otherwise none does.
+
+    Temporary names end in the file names. A symbolic link stays: the file it leads to is replaced.
+
+    Parameters
+    ----------
+    paths : files to write, in folders that exist; earlier ones are replaced
+
+    Yields
+    ------
+    dict from each path to its temporary name
+
+    Raises
+    ------
+    ValueError
+        If two of the paths lead to the same file.
+    OSError
+        If writing fails, as on a full disk; the error names the output, and the earlier files are as they were.
+    """
+    places = [Path(path) for path in paths]
+    real = {place: behind_links(place) for place in places}
+    if len({place.absolute() for place in real.values()}) < len(places):
+        raise ValueError(f"{', '.join(map(str, places))}: two of these are the same file")
+    with ExitStack() as stack:
+        made = {place: stack.enter_context(hidden_folder(real[place].parent, place)) / place.name for place in places}
+        with naming({made[place]: place for place in places}, places[0] if len(places) == 1 else None):
+            yield made
+            replace_all({real[place]: made[place] for place in places})
+
+
+@contextmanager
+def new_file(path: Path | str) -> Iterator[Path]:
+    """Yield a temporary name for one file, see :func:`new_files`."""
+    with new_files([path]) as made:
+        yield made[Path(path)]
+
+
+def write_bytes(path: Path | str, data: bytes) -> None:
+    """Write ``data`` through :func:`new_file`."""
+    with new_file(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Write ``text`` as UTF-8 through :func:`new_file`."""
+    with new_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="")
+
+
+# -- the parts of it --------------------------------------------------------------------------------------------------
+
+
+def replace_all(new: Mapping[Path, Path], *, remove: Iterable[Path] = ()) -> None:
+    """Rename files to their places and remove others; when a step fails, the earlier files are restored.
+
+    Parameters
+    ----------
+    new : mapping from a place to the file that goes there, on the same file system
+    remove : files that go, where they exist
+
+    Raises
+    ------
+    OSError
+        If a file cannot be renamed. A note names what could not be restored, and where it is kept.
+    """
+    removed = [place for place in remove if os.path.lexists(place)]
+    if len(new) == 1 and not removed:
+        ((place, temporary),) = new.items()
+        temporary.replace(place)
+        return
+    asides: dict[Path, Path] = {}  # a folder for earlier files, in each folder of places
+    earlier: dict[Path, Path | None] = {}
+    restored = True
+    try:
+        for place in (*new, *removed):
+            if os.path.lexists(place) and place.parent not in asides:
+                asides[place.parent] = _hidden(place.parent, place)
+            earlier[place] = asides[place.parent] / place.name if os.path.lexists(place) else None
+        for place, temporary in new.items():
+            if kept := earlier[place]:
+                _keep(place, kept)
+            temporary.replace(place)
+        for place in removed:
+            if kept := earlier[place]:
+                place.replace(kept)
+    except BaseException as error:
+        for place, kept in reversed(earlier.items()):
+            try:
+                _restore(place, kept, new.get(place))
+            except OSError:
+                restored = False
+                error.add_note(f"the earlier {place} is kept as {kept}")
+        raise
+    finally:
+        if restored:
+            for aside in asides.values():
+                shutil.rmtree(aside, ignore_errors=True)
+
+
+def _keep(place: Path, kept: Path) -> None:
+    """Give a file a second name, or where the file system has no links, another name."""
+    try:
+        os.link(place, kept, follow_symlinks=False)
+    except (OSError, NotImplementedError):
+        place.replace(kept)
+
+
+def _restore(place: Path, kept: Path | None, temporary: Path | None) -> None:
+    if kept is not None:
+        if os.path.lexists(kept) and not (os.path.lexists(place) and os.path.samestat(kept.lstat(), place.lstat())):
+            kept.replace(place)
+    elif temporary is not None and not temporary.exists():  # it has been renamed
+        place.unlink(missing_ok=True)
+
+
+@contextmanager
+def hidden_folder(folder: Path, shown: Path | str) -> Iterator[Path]:
+    """Make a temporary folder within ``folder`` and remove it in the end; an OSError of making it names ``shown``."""
+    made = _hidden(folder, shown)
+    try:
+        yield made
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def _hidden(folder: Path, shown: Path | str) -> Path:
+    try:
+        return Path(tempfile.mkdtemp(dir=folder, prefix=f".{Path(shown).stem[:32]}."))
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(shown)) from error
+
+
+@contextmanager
+def naming(shown: Mapping[Path, Path], nameless: Path | None) -> Iterator[None]:
+    """Give an OSError the output's name in place of a temporary one.
+
+    Parameters
+    ----------
+    shown : mapping from a temporary file or folder to the output it stands for
+    nameless : the name of errors that have none; such errors stay as they are when None
+    """
+    try:
+        yield
+    except OSError as error:
+        name = nameless
+        if isinstance(error.filename, str | Path):
+            known = Path(error.filename).absolute()
+            parts = {temporary.absolute(): output for temporary, output in shown.items()}
+            inside = next((part for part in (known, *known.parents) if part in parts), None)
+            name = None if inside is None else parts[inside] / known.relative_to(inside)
+        if name is None:
+            raise
+        # errno is missing where a library counted the bytes written itself
+        named = OSError(error.errno or errno.EIO, error.strerror or str(error), str(name))
+        for note in getattr(error, "__notes__", ()):
+            named.add_note(note)
+        raise named from error
+
+
+def behind_links(path: Path) -> Path:
+    """Return the file that a symbolic link leads to, anything else as it is."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
