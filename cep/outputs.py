@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -10,8 +9,11 @@ from pathlib import Path
 
 from motdiff.outputs import (
     behind_links,
+    check_file,
+    check_folder,
     hidden_folder,
     naming,
+    nearest_folder,
     new_file,
     new_files,
     replace_all,
@@ -35,24 +37,20 @@ def claim(paths: Iterable[Path | str], *, force: bool = False, inputs: Iterable[
     Raises
     ------
     ValueError
-        If a file exists and ``force`` is not given, it is one of the inputs, something other than a regular file is in
-        its place, or its folder is missing or cannot be written to.
+        If a file exists and ``force`` is not given, it is one of the inputs or comes twice, something other than a
+        regular file is in its place, or its folder is missing or cannot be written to.
     """
     read = [path for path in map(Path, inputs) if path.is_file()]
+    known: set[Path] = set()
     for path in map(Path, paths):
+        if (real := behind_links(path).absolute()) in known:
+            raise ValueError(f"{path}: would be written twice, every output needs a name of its own")
+        known.add(real)
         if path.exists() and any(path.samefile(one) for one in read):
             raise ValueError(f"{path}: is what is read, the output needs another name")
-        if path.is_dir():
-            raise ValueError(f"{path}: is a folder, a file name is needed")
-        if path.exists() and not path.is_file():
-            raise ValueError(f"{path}: is not a regular file")
-        if path.exists() and not force:
+        if path.is_file() and not force:
             raise ValueError(f"{path}: exists already, use --force to replace it")
-        folder = behind_links(path).parent
-        if not folder.exists():
-            raise ValueError(f"{path}: there is no folder {folder}")
-        if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-            raise ValueError(f"{path}: the folder {folder} cannot be written to")
+        check_file(path)
 
 
 def claim_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -> None:
@@ -71,13 +69,9 @@ def claim_folder(path: Path | str, names: Iterable[str], *, force: bool = False)
         If a file exists and ``force`` is not given, or the folder cannot be made or written to.
     """
     target = Path(path)
-    if target.exists() and not target.is_dir():
-        raise ValueError(f"{target}: is a file, a folder name is needed")
+    check_folder(target)
     if target.is_dir():
         claim((target / name for name in names), force=force)
-    nearest = _nearest(target)
-    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
-        raise ValueError(f"{target}: the folder {nearest} cannot be written to")
 
 
 @contextmanager
@@ -106,7 +100,7 @@ def new_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -
     missing = [folder for folder in (target, *target.parents) if not folder.exists()]
     with ExitStack() as stack:
         # within the nearest folder there is: renaming must not cross file systems
-        temporary = stack.enter_context(hidden_folder(_nearest(target), target))
+        temporary = stack.enter_context(hidden_folder(nearest_folder(target), target))
         stack.enter_context(naming({temporary: target}, target))
         yield temporary
         written = {item.name: item for item in sorted(temporary.iterdir())}
@@ -124,8 +118,3 @@ def new_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -
                 with suppress(OSError):  # it was not made, or something else is in it
                     folder.rmdir()
             raise
-
-
-def _nearest(folder: Path) -> Path:
-    """Return the folder itself or the nearest one above it that exists."""
-    return next(path for path in (folder, *folder.absolute().parents) if path.exists())

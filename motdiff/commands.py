@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
+from motdiff.outputs import check_file, check_folder
+
 __all__ = ["run"]
 
 _EXAMPLES = """\
@@ -35,6 +37,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     command: Callable[[argparse.Namespace], None] = given.command
     try:
+        given.check(given.out)  # before anything is read
         command(given)
     except (ValueError, FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError) as error:
         return _told(error, 2)
@@ -71,7 +74,7 @@ def _add_train(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.add_argument("--minutes", type=float, default=float("inf"), help="end this piece after so many minutes")
     parser.add_argument("--validate-every", type=int, default=1000, metavar="STEPS")
     parser.add_argument("--save-every", type=float, default=60.0, metavar="SECONDS")
-    parser.set_defaults(command=_train)
+    parser.set_defaults(command=_train, check=check_folder)
 
 
 def _train(given: argparse.Namespace) -> None:
@@ -110,7 +113,7 @@ def _add_prepare(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the shards; existing ones are kept")
     parser.add_argument("--shards", default="0:10", metavar="FIRST:LAST[:STEP]", help="64 samples each")
     parser.add_argument("--held-out", action="store_true", help="of the photos held out for validation")
-    parser.set_defaults(command=_prepare)
+    parser.set_defaults(command=_prepare, check=check_folder)
 
 
 def _prepare(given: argparse.Namespace) -> None:
@@ -156,7 +159,7 @@ def _add_pack(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.add_argument("out", type=Path, help=".zip file")
     parser.add_argument("--side", type=int, default=512, help="longest short side, px")
     parser.add_argument("--quality", type=int, default=92, help="of the JPEGs")
-    parser.set_defaults(command=_pack)
+    parser.set_defaults(command=_pack, check=check_file)
 
 
 def _pack(given: argparse.Namespace) -> None:
@@ -172,7 +175,7 @@ def _add_export(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, help=".safetensors file")
     parser.add_argument("--offset", type=float, default=0.0, help="taken from the path's logits")
     parser.add_argument("--card", type=Path, help="JSON file: what else the header should say (data, figures)")
-    parser.set_defaults(command=_export)
+    parser.set_defaults(command=_export, check=check_file)
 
 
 def _export(given: argparse.Namespace) -> None:
@@ -196,7 +199,7 @@ def _add_sample(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.add_argument("--count", type=int, default=8)
     parser.add_argument("--steps", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
-    parser.set_defaults(command=_sample)
+    parser.set_defaults(command=_sample, check=check_file)
 
 
 def _sample(given: argparse.Namespace) -> None:
@@ -255,7 +258,7 @@ def _add_eval(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.add_argument("--shown", type=int, default=8, metavar="N", help="cases on each contact sheet")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout instead of tables")
     parser.add_argument("-o", "--out", type=Path, default=Path("out/eval"), help="folder of rows, tables and pictures")
-    parser.set_defaults(command=_eval)
+    parser.set_defaults(command=_eval, check=check_folder)
 
 
 def _eval(given: argparse.Namespace) -> None:

@@ -12,8 +12,11 @@ from pathlib import Path
 
 __all__ = [
     "behind_links",
+    "check_file",
+    "check_folder",
     "hidden_folder",
     "naming",
+    "nearest_folder",
     "new_file",
     "new_files",
     "replace_all",
@@ -71,6 +74,42 @@ def write_text(path: Path | str, text: str) -> None:
     """Write ``text`` as UTF-8 through :func:`new_file`."""
     with new_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="")
+
+
+def check_file(path: Path | str) -> None:
+    """Check, before any work is done, that a file of this name can be written.
+
+    Raises
+    ------
+    ValueError
+        If something other than a regular file is in its place, or its folder is missing or cannot be written to.
+    """
+    place = Path(path)
+    if place.is_dir():
+        raise ValueError(f"{place}: is a folder, a file name is needed")
+    if place.exists() and not place.is_file():
+        raise ValueError(f"{place}: is not a regular file")
+    folder = behind_links(place).parent
+    if not folder.exists():
+        raise ValueError(f"{place}: there is no folder {folder}")
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise ValueError(f"{place}: the folder {folder} cannot be written to")
+
+
+def check_folder(path: Path | str) -> None:
+    """Check, before any work is done, that files can be written into a folder, or that it can be made.
+
+    Raises
+    ------
+    ValueError
+        If a file is in its place, or the folder, or the nearest one above it, cannot be written to.
+    """
+    place = Path(path)
+    if place.exists() and not place.is_dir():
+        raise ValueError(f"{place}: is a file, a folder name is needed")
+    nearest = nearest_folder(place)
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
+        raise ValueError(f"{place}: the folder {nearest} cannot be written to")
 
 
 # -- the parts of it --------------------------------------------------------------------------------------------------
@@ -186,3 +225,8 @@ def naming(shown: Mapping[Path, Path], nameless: Path | None) -> Iterator[None]:
 def behind_links(path: Path) -> Path:
     """Return the file that a symbolic link leads to, anything else as it is."""
     return Path(os.path.realpath(path)) if path.is_symlink() else path
+
+
+def nearest_folder(folder: Path) -> Path:
+    """Return the folder itself or the nearest one above it that exists."""
+    return next(path for path in (folder, *folder.absolute().parents) if path.exists())

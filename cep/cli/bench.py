@@ -14,7 +14,7 @@ from cep.cli.folders import end
 from cep.cli.options import Force, Json
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from rich.console import Console
 
@@ -59,10 +59,10 @@ def everything(
         _refuse_options(context)
         return
     engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
-    jobs = _jobs(output, engine, data=data, gyro=gyro, quick=quick, force=force)
     claim_folder(output, [INDEX], force=force)
-    for job in jobs.values():
-        claim_folder(job.folder, job.files, force=force)
+    for name, files in _files().items():  # before any photo is read
+        claim_folder(output / name, files, force=force)
+    jobs = _jobs(output, engine, data=data, gyro=gyro, quick=quick, force=force)
     parts: dict[str, Part] = {}
     shows: list[Callable[[Console], None]] = []
     for name, job in jobs.items():
@@ -95,6 +95,18 @@ def everything(
     if failed:
         complain(f"{failed} cells failed: {index} names them")
     end(missing=sum(part.missing for part in parts.values()), failed=failed)
+
+
+def _files() -> dict[str, Sequence[str]]:
+    """Files of each table of :func:`_jobs`."""
+    from cep.bench.blind.report import outputs
+    from cep.bench.coded.report import OUTPUTS
+    from cep.bench.codes_report import CODE_FILES
+
+    files: dict[str, Sequence[str]] = {"codes": CODE_FILES, "speed": outputs("speed")}
+    for protocol in _PROTOCOLS:
+        files |= {f"blind-{protocol}": outputs("blind"), f"cep-{protocol}": OUTPUTS}
+    return files
 
 
 def _jobs(

@@ -72,7 +72,7 @@ def blind(
     """
     engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
     job = blind_job(output, engine, data=data, protocol=protocol, methods=methods, gyro=gyro, quick=quick, force=force)
-    run_job(job, force=force, as_json=as_json)
+    run_job(job, as_json=as_json)
 
 
 def speed(
@@ -94,7 +94,7 @@ def speed(
     """
     engine = Engine.of(output, cache=cache, workers=1, dask=None)
     job = speed_job(output, engine, data=data, protocol=protocol, methods=methods, gyro=gyro, quick=quick, force=force)
-    run_job(job, force=force, as_json=as_json)
+    run_job(job, as_json=as_json)
 
 
 def blind_job(
@@ -113,7 +113,9 @@ def blind_job(
     from cep.bench.blind.report import outputs, write_report
     from cep.bench.blind.tables import blind_tables
     from cep.bench.blind.work import CEILINGS
+    from cep.outputs import claim_folder
 
+    claim_folder(output, outputs("blind"), force=force)
     names, plan = _plan(data, protocol, methods, gyro, quick)
     title = f"Blind, {plan.protocol.name}"
     command = _command("blind", data, protocol, methods, gyro, quick)
@@ -130,7 +132,7 @@ def blind_job(
         return _part(title, command, tables, files, outcome, warnings)
 
     about = {"folder": output, "protocol": plan.protocol, "methods": names}
-    return Job(output, outputs("blind"), about, run)
+    return Job(about, run)
 
 
 def speed_job(
@@ -149,7 +151,9 @@ def speed_job(
     from cep.bench.blind.report import outputs, write_report
     from cep.bench.blind.run import one_each
     from cep.bench.blind.tables import speed_tables
+    from cep.outputs import claim_folder
 
+    claim_folder(output, outputs("speed"), force=force)
     names, whole = _plan(data, protocol, methods, gyro, quick)
     plan = one_each(whole)
     title = f"One estimate from a photo of {plan.protocol.crop_px} px, {plan.protocol.name}"
@@ -166,7 +170,7 @@ def speed_job(
         return _part(title, command, tables, files, outcome, warnings)
 
     about = {"folder": output, "protocol": plan.protocol, "methods": names}
-    return Job(output, outputs("speed"), about, run)
+    return Job(about, run)
 
 
 def _plan(

@@ -59,7 +59,7 @@ def cep(
     """
     engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
     job = cep_job(output, engine, data=data, protocol=protocol, designs=designs, quick=quick, force=force)
-    run_job(job, force=force, as_json=as_json)
+    run_job(job, as_json=as_json)
 
 
 def cep_job(
@@ -72,7 +72,9 @@ def cep_job(
     from cep.bench.coded.run import measure_coded
     from cep.bench.coded.tables import coded_tables
     from cep.bench.index import Part, first_table
+    from cep.outputs import claim_folder
 
+    claim_folder(output, OUTPUTS, force=force)
     chosen = coded_protocol(protocol)
     chosen = chosen.quick if quick else chosen
     names = [name.strip() for name in designs.split(",")] if designs else list(DESIGNS)
@@ -99,7 +101,7 @@ def cep_job(
         return part, lambda console: show_tables(console, tables)
 
     about = {"folder": output, "protocol": chosen.name, "designs": names}
-    return Job(output, OUTPUTS, about, run)
+    return Job(about, run)
 
 
 def _photos(data: Path | None, protocol: CodedProtocol) -> tuple[dict[str, Path], list[str]]:

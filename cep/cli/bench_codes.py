@@ -48,7 +48,7 @@ def codes(
     """
     engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
     job = codes_job(output, engine, names=names or (), time_s=time_s, seed=seed, force=force)
-    run_job(job, force=force, as_json=as_json)
+    run_job(job, as_json=as_json)
 
 
 def codes_job(output: Path, engine: Engine, *, names: Sequence[str], time_s: float, seed: int, force: bool) -> Job:
@@ -59,7 +59,9 @@ def codes_job(output: Path, engine: Engine, *, names: Sequence[str], time_s: flo
     from cep.bench.engine import run_cells
     from cep.bench.index import Part
     from cep.bench.layout import markdown_table
+    from cep.outputs import claim_folder
 
+    claim_folder(output, CODE_FILES, force=force)
     if not 0 < time_s < 1e6:
         raise ValueError(f"--time: must be above 0 seconds, got {time_s:g}")
     chosen = dict.fromkeys(names or [name for name in registry.names() if name.startswith(_FAMILY)])
@@ -89,4 +91,4 @@ def codes_job(output: Path, engine: Engine, *, names: Sequence[str], time_s: flo
 
         return part, show
 
-    return Job(output, CODE_FILES, {"folder": output, "seed": seed}, run)
+    return Job({"folder": output, "seed": seed}, run)

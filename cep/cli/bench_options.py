@@ -80,26 +80,18 @@ class Job:
 
     Attributes
     ----------
-    folder : Path
-    files : sequence of str
-        Those it will write.
     about : mapping
         What was asked for, for the JSON.
     run : function
         Measures, writes the files and returns them as a part, with what prints its tables.
     """
 
-    folder: Path
-    files: Sequence[str]
     about: Mapping[str, object]
     run: Callable[[Tick], tuple[Part, Callable[[Console], None]]]
 
 
-def run_job(job: Job, *, force: bool, as_json: bool) -> None:
+def run_job(job: Job, *, as_json: bool) -> None:
     """Do what a command with a single table does."""
-    from cep.outputs import claim_folder
-
-    claim_folder(job.folder, job.files, force=force)
     with progress("measuring") as tick:
         part, show = job.run(tick)
     finish_bench(job.about, part, show, as_json=as_json)

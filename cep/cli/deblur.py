@@ -53,13 +53,20 @@ def deblur(
 
     Example: cep deblur coded.png --trajectory trajectory.json --code code.json -o sharp.png
     """
-    from cep.calibrate import check_texture
     from cep.code import ShutterCode
+    from cep.images import check_image_name, parse_gamma, read_photo, write_image
+    from cep.outputs import claim
+
+    parse_gamma(gamma)
+    shutter = ShutterCode("1") if code is None else load_code(code).code
+    target = output or image.with_name(f"{image.stem}_sharp.png")
+    check_image_name(target)
+    claim([target], force=force, inputs=[image])
+
+    from cep.calibrate import check_texture
     from cep.design import check_resolved
     from cep.exposure import coded_psf
     from cep.files import read_psf
-    from cep.images import check_image_name, parse_gamma, read_photo, write_image
-    from cep.outputs import claim
     from cep.restore import METHODS, restore
     from cep.restore.direction import test_directions
     from cep.restore.spectral import trimmed_psf
@@ -77,15 +84,10 @@ def deblur(
                 f'--camera, --photons, --read-noise: only the methods "wiener" and "pnp" use them, not "{method}"'
             )
         options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
-    parse_gamma(gamma)
-    shutter = ShutterCode("1") if code is None else load_code(code).code
     motion = None if trajectory is None else load_motion(trajectory, None).trajectory
     if motion is not None:
         check_resolved(motion, shutter.chips)
     kernel = None if psf is None else read_psf(psf)
-    target = output or image.with_name(f"{image.stem}_sharp.png")
-    check_image_name(target)
-    claim([target], force=force, inputs=[image])
     photo = read_photo(image, gamma=gamma)
     try:
         check_texture(photo.pixels)

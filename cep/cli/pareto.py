@@ -110,7 +110,7 @@ def pareto(
         min_period=min_period,
         camera=load_camera(camera, photons=photons, read_noise=read_noise),
     )
-    claim([output, picture], force=force)
+    claim([output, picture], force=force, inputs=[] if trajectory is None else [trajectory])
     with progress("searching") as tick:
         front = pareto_front(problem, rng=np.random.default_rng(seed), steps=steps, time_s=time_s, progress=tick)
     if not front.points:

@@ -141,7 +141,8 @@ def test_the_tables_are_the_papers():
     engine = Engine(Path("cells"), 2, None)
     jobs = bench._jobs(Path("out"), engine, data=None, gyro=None, quick=True, force=False)
     assert list(jobs) == ["codes", "speed", "blind-paper", "blind-ours", "cep-paper", "cep-ours"]
-    assert len({job.folder for job in jobs.values()}) == len(jobs)
+    assert {name: job.about["folder"] for name, job in jobs.items()} == {name: Path("out", name) for name in jobs}
+    assert bench._files().keys() == jobs.keys()
     assert {name: job.about["protocol"].name for name, job in jobs.items() if name.startswith("blind")} == {
         "blind-paper": "paper", "blind-ours": "ours",
     }  # fmt: skip

@@ -226,7 +226,7 @@ def test_shards_that_are_no_range(shards, motdiff):
         (["prepare", "no_photos.toml", "-o", "seen"], "data.photos is needed"),
         (["pack", "nowhere", "photos.zip"], "nowhere: must be a folder"),
         (["pack", "empty", "photos.zip"], "empty: holds no photo"),
-        (["pack", "photos", "no/such/folder/photos.zip"], r"photos\.zip: No such file or directory$"),
+        (["pack", "photos", "no/such/folder/photos.zip"], r"photos\.zip: there is no folder"),
         (["export", "nowhere", "-o", "w.safetensors"], "holds no checkpoint"),
         (["train", "run.toml", "-o", "run", "--minutes", "-1"], "minutes: must be at least 0"),
         (["train", "run.toml", "-o", "run", "--validate-every", "0"], "validate_steps: must be at least 1"),
@@ -332,3 +332,26 @@ def test_a_loss_that_is_not_finite_is_a_failure(photos, motdiff, monkeypatch):
     assert code == 1
     assert told.splitlines()[-1] == "error: the loss became nan at step 1; lower optimiser.rate"
     assert not Path("run/checkpoint").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("pack", "none", "OUT.zip"),
+        ("export", "none", "-o", "OUT.safetensors"),
+        ("sample", "none.png", "-o", "OUT.png"),
+        ("prepare", "none.toml", "-o", "OUT"),
+        ("eval", "--set", "paper", "--photos", "none", "-o", "OUT"),
+        ("train", "run.toml", "-o", "OUT"),
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_outputs_that_cannot_be_written_are_told_before_inputs_are_read(motdiff, arguments):
+    write("run.toml", LIVE)  # its photos do not exist
+    write("file", "precious")
+    files = arguments[0] in ("pack", "export", "sample")
+    for place in ("file/out", "nowhere/out") if files else ("file/out", "file"):
+        said = "nowhere" if place == "nowhere/out" else "file"
+        assert_mendable(motdiff(*(part.replace("OUT", place) for part in arguments)), rf"error: {said}\b.*")
+    assert sorted(path.name for path in Path().iterdir()) == ["file", "run.toml"]
+    assert Path("file").read_text() == "precious"
