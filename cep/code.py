@@ -13,21 +13,27 @@ __all__ = ["ShutterCode"]
 FloatArray = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class ShutterCode:
     """Shutter code, first chip first.
 
     Parameters
     ----------
-    bits : str
-        "1" is an open chip, "0" a closed one; at least one is open.
+    bits : str or (n,) array_like
+        "1" is an open chip, "0" a closed one; or numbers or booleans, each exactly 0 or 1. At least one is open.
     chip_ns : int
         Duration of a chip, ns.
+
+    Attributes
+    ----------
+    bits : str
+        Of 0 and 1, whatever the code was made of.
+    chip_ns : int
 
     Raises
     ------
     ValueError
-        If ``bits`` has other characters, is empty or all closed, or ``chip_ns`` is not a positive integer.
+        If ``bits`` has other characters or values, is empty or all closed, or ``chip_ns`` is not a positive integer.
 
     Examples
     --------
@@ -36,37 +42,38 @@ class ShutterCode:
     (8, 5, 0.625, 3)
     >>> code.runs
     ((1, 3), (0, 2), (1, 1), (0, 1), (1, 1))
+
+    Lists and arrays will do as well:
+
+    >>> ShutterCode([1, 0, 1])
+    ShutterCode(bits='101', chip_ns=1000000)
+    >>> ShutterCode(np.array([True, False, True]), chip_ns=250_000).bits
+    '101'
+    >>> ShutterCode([0.5, 1.0])
+    Traceback (most recent call last):
+    ValueError: bits: only 0 and 1 are allowed, found 0.5 at chip 1
     """
 
     bits: str
-    chip_ns: int = 1_000_000
+    chip_ns: int
 
-    def __post_init__(self) -> None:
-        if not isinstance(self.bits, str):
-            raise ValueError(f"bits: must be a string of 0 and 1, got {type(self.bits).__name__}")
-        wrong = next((i for i, bit in enumerate(self.bits) if bit not in "01"), None)
+    def __init__(self, bits: str | ArrayLike, chip_ns: int = 1_000_000) -> None:
+        text = bits if isinstance(bits, str) else _text(bits)
+        wrong = next((i for i, bit in enumerate(text) if bit not in "01"), None)
         if wrong is not None:
-            raise ValueError(f"bits: only 0 and 1 are allowed, found {self.bits[wrong]!r} at chip {wrong + 1}")
-        if "1" not in self.bits:
-            what = "all chips are closed" if self.bits else "the code is empty"
+            raise ValueError(f"bits: only 0 and 1 are allowed, found {text[wrong]!r} at chip {wrong + 1}")
+        if "1" not in text:
+            what = "all chips are closed" if text else "the code is empty"
             raise ValueError(f"bits: {what}; at least one chip must be open")
-        if isinstance(self.chip_ns, bool) or not isinstance(self.chip_ns, int | np.integer) or self.chip_ns < 1:
-            raise ValueError(f"chip_ns: must be a whole number of nanoseconds above 0, got {self.chip_ns!r}")
-        object.__setattr__(self, "chip_ns", int(self.chip_ns))
+        if isinstance(chip_ns, bool) or not isinstance(chip_ns, int | np.integer) or chip_ns < 1:
+            raise ValueError(f"chip_ns: must be a whole number of nanoseconds above 0, got {chip_ns!r}")
+        object.__setattr__(self, "bits", text)
+        object.__setattr__(self, "chip_ns", int(chip_ns))
 
     @classmethod
     def from_array(cls, chips: ArrayLike, *, chip_ns: int = 1_000_000) -> ShutterCode:
-        """Make a code from (n,) numbers or booleans, each exactly 0 or 1.
-
-        Raises
-        ------
-        ValueError
-            If the array is not one-dimensional or has other values.
-        """
-        values = np.asarray(chips)
-        if values.ndim != 1 or not np.isin(values, (0, 1)).all():
-            raise ValueError(f"chips: must be a one-dimensional array of 0 and 1, got shape {values.shape}")
-        return cls("".join("1" if value else "0" for value in values), chip_ns)
+        """Make a code from (n,) numbers or booleans, as the constructor does."""
+        return cls(chips, chip_ns)
 
     @property
     def chips(self) -> int:
@@ -111,3 +118,18 @@ class ShutterCode:
     def reversed(self) -> ShutterCode:
         """Return the code played backwards."""
         return replace(self, bits=self.bits[::-1])
+
+
+def _text(chips: ArrayLike) -> str:
+    """Spell (n,) numbers or booleans as 0 and 1."""
+    try:
+        values = np.asarray(chips)
+    except (TypeError, ValueError):  # rows of unequal length
+        values = np.empty((0, 0))
+    if values.ndim != 1 or values.dtype.kind not in "biuf":
+        kind = type(chips).__name__ if values.ndim == 0 or values.dtype.kind not in "biuf" else "rows of them"
+        raise ValueError(f"bits: must be a string or a one-dimensional array of 0 and 1, got {kind}")
+    wrong = np.flatnonzero((values != 0) & (values != 1))
+    if wrong.size:
+        raise ValueError(f"bits: only 0 and 1 are allowed, found {values[wrong[0]]:g} at chip {wrong[0] + 1}")
+    return "".join("1" if value else "0" for value in values)
