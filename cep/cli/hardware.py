@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.cli.console import finish
-from cep.cli.options import ChipNs, CodeSource, Force, Json, Seed
+from cep.cli.options import ChipNs, CodeSource, Force, Json, Seed, code_file
 from cep.cli.programs import (
     ClockPpm,
     Device,
@@ -69,11 +69,12 @@ def export(
         raise ValueError(f"--format: must be one of {', '.join(EXPORTERS)}, got {file_format[:40]!r}")
     chosen = EXPORTERS[file_format]
     program, profile = load_program(code, chip_ns=chip_ns, device=device)
-    stem, suffix = Path(code).stem if code.endswith(".json") else "code", chosen.suffix
+    file = code_file(code)
+    stem, suffix = "code" if file is None else file.stem, chosen.suffix
     # a code is JSON too, and a code.py would hide Python's own module from whatever runs beside it
     more = {".json": ".program", ".py": "_rp2"}.get(suffix, "")
     target = output or Path(f"{stem}{more}{suffix}")
-    claim([target], force=force, inputs=[code])
+    claim([target], force=force, inputs=[] if file is None else [file])
     text = chosen.export(program, profile or DeviceProfile(name="generic"))
     if chosen.parse_back(text) != program:
         raise RuntimeError(f"{target}: reading the {file_format} text back gave other edges, nothing was written")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CameraFile", "ChipNs", "CodeSource", "Force", "Gamma", "Json", "Linear", "Photons", "ReadNoise", "Seed",
-    "TrajectoryFile", "code_figures", "code_label", "load_camera", "load_code", "load_motion",
+    "TrajectoryFile", "code_figures", "code_file", "code_label", "load_camera", "load_code", "load_motion",
 ]  # fmt: skip
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
@@ -58,8 +59,9 @@ def load_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
     from cep.code import ShutterCode
     from cep.files import StoredCode, read_code
 
-    if source.endswith(".json") or (not source.startswith(("0", "1")) and Path(source).is_file()):
-        stored = read_code(source)
+    file = code_file(source)
+    if file is not None:
+        stored = read_code(file)
     elif source.startswith(("0", "1")) or not source:
         stored = StoredCode(ShutterCode(source))
     else:
@@ -73,10 +75,20 @@ def load_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
     return stored if chip_ns is None else replace(stored, code=ShutterCode(stored.code.bits, chip_ns))
 
 
+def code_file(source: str) -> Path | None:
+    """Return the file that a code is read from; None where its bits or a published code's name are given.
+
+    Bits are bits however many there are: a file name ends at some 255 characters, and asking for a longer one fails.
+    """
+    if not set(source) - set("01"):
+        return None
+    return Path(source) if source.endswith(".json") or os.path.isfile(source) else None
+
+
 def code_label(source: str) -> str:
     """Name a code for tables and legends: a file by its stem, long bits by their head."""
-    if source.endswith(".json"):
-        return Path(source).stem
+    if (file := code_file(source)) is not None:
+        return file.stem
     return source if len(source) <= 16 else f"{source[:12]}... ({len(source)})"
 
 

@@ -163,6 +163,33 @@ def test_codes_by_bits_file_and_name(workplace):
     assert load_code("raskar-52").code.chips == 52
 
 
+@pytest.mark.parametrize("chips", [256, 1024, 4096])
+def test_bits_are_no_file_name_however_many_there_are(cep, workplace, chips):
+    """A file name ends at some 255 characters, and asking whether a longer one is there fails."""
+    bits = "".join(np.random.default_rng(chips).choice(["0", "1"], chips - 1)) + "1"
+    written = cep.succeeds("export", bits, "--format", "csv", "-o", f"{chips}.csv")
+    assert written["chips"] == chips
+    assert EXPORTERS["csv"].parse_back(Path(f"{chips}.csv").read_text()).bits == bits
+    # refused for their number, after they were read
+    for command in (["audit", bits], ["mtf", "--code", bits], ["simulate", "sharp.png", "--code", bits]):
+        assert f"{chips} " in cep.refuses(*command, "--linear", "5")
+    assert f"{chips} " in cep.refuses("deblur", "blurred.png", "--trajectory", "trajectory.json", "--code", bits)
+
+
+@pytest.mark.parametrize("source", ["x" * 300, "raskar-53", "10" * 200 + "2"])
+def test_what_is_neither_bits_nor_a_file_nor_a_name_is_one_line(cep, workplace, source):
+    for command in (["export", source, "--format", "csv"], ["audit", source], ["mtf", "--linear", "9", "--code", source]):
+        line = cep.refuses(*command)
+        assert "0 and 1" in line if source[0] in "01" else "bits as 1011" in line
+
+
+def test_a_file_named_in_bits_is_not_read(cep, workplace):
+    Path("1011").write_text(Path("code.json").read_text())
+    assert load_code("1011").code.chips == 4
+    assert load_code("./1011").code.chips == 16
+    assert cep.succeeds("export", "./1011", "--format", "csv")["file"] == "1011.csv"
+
+
 def test_optimize(cep, workplace):
     arguments = ("optimize", "--trajectory", "trajectory.json", "--chips", "12", "--duty", "0.4:0.7", "--steps", "3000")
     found = cep.succeeds(*arguments, "--seed", "3", "--chip-ns", "500000", "-o", "new.json")
