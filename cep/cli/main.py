@@ -31,21 +31,26 @@ app = typer.Typer(
     cls=_Commands,
     help="Coded exposure: from one blurred photo to the shutter code for its motion, and back to a sharp photo.",
     epilog="Begin with: cep demo -o demo",
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from cep import __version__
+
+        typer.echo(__version__)
+        raise typer.Exit
+
+
 @app.callback()
 def _root(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version)
+    ] = False,
 ) -> None:
-    if version:
-        from importlib.metadata import version as installed
-
-        typer.echo(installed("coded-exposure"))
-        raise typer.Exit
+    pass  # the option's callback acts, before a missing command is complained about
 
 
 app.command("calibrate")(calibrate.calibrate)

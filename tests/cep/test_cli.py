@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,53 @@ def test_help_loads_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     for command in COMMANDS:
         assert command in done.stdout
+
+
+def test_version_is_the_installed_packages(cep):
+    import cep as package
+
+    assert cep("--version").code == 0
+    assert cep.out.strip() == package.__version__ == version("coded-exposure")
+    assert cep.err == ""
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = package.nothing
+
+
+def test_version_of_an_uninstalled_copy(monkeypatch):
+    import cep as package
+
+    def missing(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr("importlib.metadata.version", missing)
+    assert package.__version__ == "0+unknown"
+
+
+def completions(*words):
+    """Complete the last word as bash does, in a process of its own; loads nothing heavy."""
+    code = (
+        "import atexit, sys; from cep.cli.main import run\n"
+        "atexit.register(lambda: print('heavy:', {'torch', 'numpy', 'matplotlib'} & set(sys.modules)))\n"
+        "run()"
+    )
+    asked = {"_CEP_COMPLETE": "complete_bash", "COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, env={**os.environ, **asked}
+    )
+    *found, heavy = done.stdout.split("\n")[:-1]
+    assert heavy == "heavy: set()"
+    return found
+
+
+def test_the_shell_completes_commands_and_options():
+    assert completions("cep", "opt") == ["optimize"]
+    assert completions("cep", "bench", "bl") == ["blind"]
+    assert completions("cep", "optimize", "--dir") == ["--direction"]
+
+
+def test_completion_can_be_installed(cep):
+    cep("--help")
+    assert {"--install-completion", "--show-completion"} <= set(cep.out.split())
 
 
 @pytest.mark.parametrize("command", SHUTTER)
@@ -178,7 +226,11 @@ def test_bits_are_no_file_name_however_many_there_are(cep, workplace, chips):
 
 @pytest.mark.parametrize("source", ["x" * 300, "raskar-53", "10" * 200 + "2"])
 def test_what_is_neither_bits_nor_a_file_nor_a_name_is_one_line(cep, workplace, source):
-    for command in (["export", source, "--format", "csv"], ["audit", source], ["mtf", "--linear", "9", "--code", source]):
+    for command in (
+        ["export", source, "--format", "csv"],
+        ["audit", source],
+        ["mtf", "--linear", "9", "--code", source],
+    ):
         line = cep.refuses(*command)
         assert "0 and 1" in line if source[0] in "01" else "bits as 1011" in line
 
