@@ -49,16 +49,16 @@ def check_options(method: str, options: Mapping[str, object]) -> None:
     Raises
     ------
     ValueError
-        If the method is not known, or something it needs is missing or something it has no use for is given.
+        If the method is not known, or an option it needs is missing or one that is not its own is given.
     """
     if method not in METHODS:
         raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {method!r}")
     given = {name for name, value in options.items() if value is not None}
     wanted = _NEEDED.get(method, set())
     for name in sorted(wanted - given):
-        raise ValueError(f'{name}: the method "{method}" needs it')
+        raise ValueError(f"{name}: needed with method={method!r}")
     for name in sorted(given - wanted - _ALLOWED.get(method, set())):
-        raise ValueError(f'{name}: the method "{method}" has no use for it')
+        raise ValueError(f"{name}: not valid with method={method!r}")
 
 
 def make_estimator(
@@ -95,7 +95,7 @@ def make_estimator(
     Raises
     ------
     ValueError
-        If the method is not known, or something it needs is missing or something it has no use for is given.
+        If the method is not known, or an option it needs is missing or one that is not its own is given.
     """
     check_options(
         method,

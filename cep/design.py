@@ -69,7 +69,7 @@ def check_resolved(trajectory: Trajectory, chips: int) -> None:
     most = max(1, int(trajectory.length_px / FINEST_CHIP_PX))
     if chips > most:
         raise ValueError(
-            f"chips: {chips} are too many for a path of {trajectory.length_px:.1f} px, "
+            f"chips: {chips} chips are too many for a path of {trajectory.length_px:.1f} px, "
             f"at most {most} can be resolved ({FINEST_CHIP_PX} px each)"
         )
 

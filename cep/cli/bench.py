@@ -11,7 +11,7 @@ from cep.cli import bench_blind, bench_cep, bench_codes
 from cep.cli.bench_options import Cache, Dask, Data, Engine, Gyro, Job, Quick, Workers, spelled
 from cep.cli.console import complain, finish, progress
 from cep.cli.folders import end
-from cep.cli.options import Force, Json
+from cep.cli.options import Force, Json, output_option
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -41,7 +41,7 @@ def everything(
     workers: Workers = None,
     dask: Dask = None,
     cache: Cache = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write into.")] = Path("bench"),
+    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("bench"),
     force: Force = False,
     as_json: Json = False,
 ) -> None:

@@ -23,7 +23,7 @@ from cep.cli.bench_options import (
     spelled,
     told,
 )
-from cep.cli.options import Force, Json
+from cep.cli.options import Force, Json, output_option
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -42,11 +42,14 @@ Methods = Annotated[
     str,
     typer.Option(
         "--methods",
+        metavar="NAME,...",
         help="Estimators, as pmp,motdiff; all that take seconds when omitted. Others: selfdeblur (hours), "
         "blinddps:FOLDER of weights, network:ddpm:1000.",
     ),
 ]
-ProtocolName = Annotated[str, typer.Option("--protocol", help="paper, ours, or a .toml file like these.")]
+ProtocolName = Annotated[
+    str, typer.Option("--protocol", metavar="NAME|FILE", help="paper, ours, or a .toml file like these.")
+]
 
 
 def blind(
@@ -58,7 +61,7 @@ def blind(
     workers: Workers = None,
     dask: Dask = None,
     cache: Cache = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write into.")] = Path("bench-blind"),
+    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("bench-blind"),
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -82,7 +85,7 @@ def speed(
     gyro: Gyro = None,
     quick: Quick = False,
     cache: Cache = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write into.")] = Path("bench-speed"),
+    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("bench-speed"),
     force: Force = False,
     as_json: Json = False,
 ) -> None:

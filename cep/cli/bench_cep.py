@@ -20,7 +20,7 @@ from cep.cli.bench_options import (
     show_tables,
     spelled,
 )
-from cep.cli.options import Force, Json
+from cep.cli.options import Force, Json, output_option
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,16 +37,22 @@ __all__ = ["cep", "cep_job"]
 def cep(
     data: Data = None,
     protocol: Annotated[
-        str, typer.Option("--protocol", help="paper, ours, or a .toml file like cep/bench/coded/ours.toml.")
+        str,
+        typer.Option(
+            "--protocol", metavar="NAME|FILE", help="paper, ours, or a .toml file like cep/bench/coded/ours.toml."
+        ),
     ] = "paper",
     designs: Annotated[
-        str, typer.Option("--designs", help="Ways to choose the code, as open,dnf,both-ways; all when omitted.")
+        str,
+        typer.Option(
+            "--designs", metavar="NAME,...", help="Ways to choose the code, as open,dnf,both-ways; all when omitted."
+        ),
     ] = "",
     quick: Quick = False,
     workers: Workers = None,
     dask: Dask = None,
     cache: Cache = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write into.")] = Path("bench-cep"),
+    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("bench-cep"),
     force: Force = False,
     as_json: Json = False,
 ) -> None:

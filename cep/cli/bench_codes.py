@@ -9,7 +9,7 @@ import typer
 
 from cep.cli.bench_options import Cache, Dask, Engine, Job, Workers, run_job, spelled, told
 from cep.cli.console import table
-from cep.cli.options import Force, Json, Seed
+from cep.cli.options import Force, Json, Seed, output_option
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -29,13 +29,13 @@ _FAMILY = "jeon"
 
 def codes(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME]...", help="Published codes; Jeon's table when none is named.")
+        list[str] | None, typer.Argument(metavar="NAME", help="Published codes; Jeon's table when none is named.")
     ] = None,
-    time_s: Annotated[float, typer.Option("--time", help="Time of each search, s.")] = SEARCH_S,
+    time_s: Annotated[float, typer.Option("--time", metavar="S", help="Time of each search, seconds.")] = SEARCH_S,
     workers: Workers = None,
     dask: Dask = None,
     cache: Cache = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write into.")] = Path("bench-codes"),
+    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("bench-codes"),
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,

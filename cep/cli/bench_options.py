@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from cep.cli.console import Tick
 
 __all__ = [
+    "MANY",
     "Cache",
     "Dask",
     "Data",
@@ -37,25 +38,41 @@ __all__ = [
     "told",
 ]
 
+MANY = "Folders and benchmarks"
+"""Panel of the help pages for work that is cut into cells."""
+
 Data = Annotated[
-    Path | None, typer.Option("--data", help="Folder of photos; scikit-image's own when omitted, fit to try it only.")
+    Path | None,
+    typer.Option(
+        "--data", metavar="FOLDER", help="Folder of photos; scikit-image's own when omitted, fit to try it only."
+    ),
 ]
 Quick = Annotated[bool, typer.Option("--quick", help="The protocol's small size.")]
 Workers = Annotated[
-    int | None, typer.Option("--workers", min=1, help="Processes, one thread each; as many as cores when omitted.")
+    int | None,
+    typer.Option(
+        "--workers", metavar="N", min=1, help="Processes, one thread each; as many as cores when omitted.",
+        rich_help_panel=MANY,
+    ),
+]  # fmt: skip
+Gyro = Annotated[
+    Path | None,
+    typer.Option("--gyro", metavar="FILE", help="Recording of a gyroscope, for the hand shake of --protocol ours."),
 ]
-Gyro = Annotated[Path | None, typer.Option("--gyro", help="Recording of a gyroscope, for the hand shake of ours.")]
 Dask = Annotated[
     str | None,
     typer.Option(
-        "--dask",
+        "--dask", metavar="ADDRESS", rich_help_panel=MANY,
         help="Scheduler of a Dask cluster to run on, as tcp://host:8786; photos must lie at the same paths there.",
     ),
-]
+]  # fmt: skip
 Cache = Annotated[
     Path | None,
-    typer.Option("--cache", help="Folder of finished cells, found again; cells in the output when omitted."),
-]
+    typer.Option(
+        "--cache", metavar="FOLDER", rich_help_panel=MANY,
+        help="Folder of finished cells, found again; cells in the output when omitted.",
+    ),
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

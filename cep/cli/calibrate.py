@@ -12,37 +12,75 @@ from cep.cli.bench_options import Cache, Dask, Workers
 from cep.cli.calibrate_folder import calibrate_folder
 from cep.cli.console import finish, progress
 from cep.cli.folders import only_of_folders
-from cep.cli.options import Force, Gamma, Json, Seed
+from cep.cli.options import Force, Gamma, Json, Seed, output_option
 
 __all__ = ["calibrate"]
 
+_WITH_GYRO, _WITH_MOTDIFF = "With --method gyro", "With --method motdiff"
+
 
 def calibrate(
-    image: Annotated[Path, typer.Argument(help="Blurred photo: PNG, TIFF, JPEG or RAW; or a folder of such.")],
+    image: Annotated[
+        Path, typer.Argument(metavar="IMAGE", help="Blurred photo: PNG, TIFF, JPEG or RAW; or a folder of such.")
+    ],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Folder to write into; IMAGE_motion when omitted.")
+        Path | None, output_option("Folder to write into; IMAGE_motion when omitted.", metavar="FOLDER")
     ] = None,
     method: Annotated[
         str,
         typer.Option(
             "--method",
-            help="motdiff (blind, diffusion model), pmp (blind, classical), reference (needs --sharp), "
-            "point (a small light), gyro.",
+            metavar="NAME",
+            help="motdiff (blind, diffusion model), pmp (blind, classical), reference (beside a sharp photo), "
+            "point (of a small light), or gyro (from a recording).",
         ),
     ] = "motdiff",
     sharp: Annotated[
         Path | None,
-        typer.Option("--sharp", help="reference: a sharp photo of the same scene; or a folder, one for each by name."),
+        typer.Option(
+            "--sharp",
+            metavar="PATH",
+            rich_help_panel="With --method reference",
+            help="A sharp photo of the same scene, needed; or a folder with one for each photo, by name.",
+        ),
     ] = None,
-    gyro: Annotated[Path | None, typer.Option("--gyro", help="gyro: table of time and three rates (rad/s).")] = None,
-    focal: Annotated[float | None, typer.Option("--focal", help="gyro: focal length, px.")] = None,
-    start: Annotated[float | None, typer.Option("--start", help="gyro: opening on the recording's clock, s.")] = None,
-    exposure: Annotated[float | None, typer.Option("--exposure", help="gyro: exposure time, s.")] = None,
+    gyro: Annotated[
+        Path | None,
+        typer.Option(
+            "--gyro", metavar="FILE", help="Table of time and three rates (rad/s); needed.", rich_help_panel=_WITH_GYRO
+        ),
+    ] = None,
+    focal: Annotated[
+        float | None,
+        typer.Option("--focal", metavar="PX", help="Focal length, px; needed.", rich_help_panel=_WITH_GYRO),
+    ] = None,
+    start: Annotated[
+        float | None,
+        typer.Option(
+            "--start",
+            metavar="S",
+            help="Opening of the shutter on the recording's clock, s; needed.",
+            rich_help_panel=_WITH_GYRO,
+        ),
+    ] = None,
+    exposure: Annotated[
+        float | None,
+        typer.Option("--exposure", metavar="S", help="Exposure time, s; needed.", rich_help_panel=_WITH_GYRO),
+    ] = None,
     samples: Annotated[
         int | None,
-        typer.Option("--samples", min=1, help="motdiff: motions to draw; 8 when omitted, more add next to nothing."),
+        typer.Option(
+            "--samples",
+            metavar="K",
+            min=1,
+            rich_help_panel=_WITH_MOTDIFF,
+            help="Motions to draw; 8 when omitted, more add next to nothing.",
+        ),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="motdiff: in three quarters of the time, less exact.")] = False,
+    quick: Annotated[
+        bool,
+        typer.Option("--quick", help="In three quarters of the time, less exact.", rich_help_panel=_WITH_MOTDIFF),
+    ] = False,
     gamma: Gamma = "srgb",
     workers: Workers = None,
     dask: Dask = None,
@@ -102,6 +140,8 @@ def calibrate(
             )
             found = estimator.estimate(photo.pixels)
     except ValueError as error:
+        if str(error).partition(": ")[0] in options:  # it is an option that is wrong, not the photo
+            raise
         raise ValueError(f"{image}: {error}") from None
     seconds = time.perf_counter() - started
     files = write_calibration(folder, found, photo.pixels, source={"image": str(image), "seed": seed}, force=force)

@@ -24,6 +24,7 @@ from cep.cli.options import (
     load_camera,
     load_code,
     load_motion,
+    output_option,
 )
 
 if TYPE_CHECKING:
@@ -45,13 +46,19 @@ def audit(
     linear: Linear = None,
     flips: Annotated[
         int | None,
-        typer.Option("--flips", min=0, max=3, help="Look for better codes this many flips away. 3, long codes 2."),
+        typer.Option(
+            "--flips",
+            metavar="N",
+            min=0,
+            max=3,
+            help="Look for better codes up to this many flips away; 3 when omitted, for more than 256 chips 2.",
+        ),
     ] = None,
     chip_ns: ChipNs = None,
     camera: CameraFile = None,
     photons: Photons = None,
     read_noise: ReadNoise = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Also write the result as JSON.")] = None,
+    output: Annotated[Path | None, output_option("Also write the result as JSON.")] = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
@@ -158,11 +165,10 @@ def mtf(
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
     codes: Annotated[
-        list[str] | None, typer.Option("--code", help="Code to draw: bits, code.json or a name; may be repeated.")
+        list[str] | None,
+        typer.Option("--code", metavar="CODE", help="Code to draw: bits, code.json or a name; may be repeated."),
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Figure to write: .png, .pdf or .svg.")] = Path(
-        "mtf.png"
-    ),
+    output: Annotated[Path, output_option("Figure to write: .png, .pdf or .svg.")] = Path("mtf.png"),
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,

@@ -10,6 +10,7 @@ import typer
 
 from cep.cli.console import finish, progress
 from cep.cli.options import (
+    MOTION,
     CameraFile,
     Force,
     Gamma,
@@ -21,6 +22,7 @@ from cep.cli.options import (
     load_camera,
     load_code,
     load_motion,
+    output_option,
 )
 
 __all__ = ["deblur"]
@@ -29,27 +31,44 @@ _FULL_LIGHT = 1.001  # 1, but for rounding
 
 
 def deblur(
-    image: Annotated[Path, typer.Argument(help="Blurred photo, coded or not: PNG, TIFF, JPEG or RAW.")],
+    image: Annotated[
+        Path, typer.Argument(metavar="IMAGE", help="Blurred photo, coded or not: PNG, TIFF, JPEG or RAW.")
+    ],
     trajectory: TrajectoryFile = None,
-    code: Annotated[str | None, typer.Option("--code", help="Code of the exposure: bits, code.json or a name.")] = None,
+    code: Annotated[
+        str | None,
+        typer.Option(
+            "--code",
+            metavar="CODE",
+            help="Code of the exposure: bits, code.json or a name; the open shutter when omitted.",
+            rich_help_panel=MOTION,
+        ),
+    ] = None,
     psf: Annotated[
-        Path | None, typer.Option("--psf", help="Instead of a trajectory: a PSF as .npy, .mat or .png.")
+        Path | None,
+        typer.Option(
+            "--psf",
+            metavar="FILE",
+            help="Instead of --trajectory and --code: a PSF as .npy, .mat or .png.",
+            rich_help_panel=MOTION,
+        ),
     ] = None,
     method: Annotated[
-        str, typer.Option("--method", help="wiener, inverse, tv, l0, tv-ring, or pnp (a trained denoiser).")
+        str,
+        typer.Option("--method", metavar="NAME", help="wiener, inverse, tv, l0, tv-ring, or pnp (a trained denoiser)."),
     ] = "wiener",
     gamma: Gamma = "srgb",
     camera: CameraFile = None,
     photons: Photons = None,
     read_noise: ReadNoise = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Restored photo; IMAGE_sharp.png when omitted.")
-    ] = None,
+    output: Annotated[Path | None, output_option("Restored photo; IMAGE_sharp.png when omitted.")] = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
     """Restore a photo; when the direction of the motion is unknown both are tried, and it is said which fits.
+
+    The camera's figures are for the methods wiener and pnp.
 
     Example: cep deblur coded.png --trajectory trajectory.json --code code.json -o sharp.png
     """
@@ -80,9 +99,8 @@ def deblur(
     options = {}
     if camera is not None or photons is not None or read_noise is not None:
         if method not in ("wiener", "pnp"):
-            raise ValueError(
-                f'--camera, --photons, --read-noise: only the methods "wiener" and "pnp" use them, not "{method}"'
-            )
+            first = "--camera" if camera is not None else "--photons" if photons is not None else "--read-noise"
+            raise ValueError(f"{first}: not valid with --method {method}; wiener and pnp use the camera")
         options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
     motion = None if trajectory is None else load_motion(trajectory, None).trajectory
     if motion is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.cli.console import finish, progress
-from cep.cli.options import CameraFile, Force, Gamma, Json, Photons, ReadNoise, Seed, load_camera
+from cep.cli.options import CameraFile, Force, Gamma, Json, Photons, ReadNoise, Seed, load_camera, output_option
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -18,8 +18,10 @@ __all__ = ["demo"]
 
 
 def demo(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write into.")] = Path("demo"),
-    photo: Annotated[Path | None, typer.Option("--photo", help="A blurred photo of your own, instead.")] = None,
+    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("demo"),
+    photo: Annotated[
+        Path | None, typer.Option("--photo", metavar="FILE", help="A blurred photo of your own, instead.")
+    ] = None,
     gamma: Gamma = "srgb",
     camera: CameraFile = None,
     photons: Photons = None,

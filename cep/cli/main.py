@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 from cep.cli import bench, calibrate, code, controller, deblur, demo, hardware, optimize, pareto, simulate
+from cep.cli.commands import Command, Group
 from cep.cli.console import FAILURE, INTERRUPTED, complain, explain, warn
 
 __all__ = ["app", "main", "run"]
 
 
-class _Commands(TyperGroup):
+class _Commands(Group):
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
@@ -62,9 +62,12 @@ app.command("simulate")(simulate.simulate)
 app.command("deblur")(deblur.deblur)
 app.command("export")(hardware.export)
 app.command("upload")(hardware.upload)
-app.add_typer(controller.hw, name="hw")
-app.add_typer(bench.bench, name="bench")
+app.add_typer(controller.hw, name="hw", cls=Group)
+app.add_typer(bench.bench, name="bench", cls=Group)
 app.command("demo")(demo.demo)
+for _group in (app, controller.hw, bench.bench):
+    for _command in _group.registered_commands:
+        _command.cls = Command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

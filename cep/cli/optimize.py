@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.cli.bench_options import Cache, Dask, Workers
+from cep.cli.commands import in_options
 from cep.cli.console import finish, progress, table
 from cep.cli.folders import only_of_folders
 from cep.cli.frames import optimize_frames
 from cep.cli.optimize_folder import optimize_folder
 from cep.cli.options import (
+    MOTION,
     CameraFile,
     Force,
     Json,
@@ -23,8 +25,24 @@ from cep.cli.options import (
     TrajectoryFile,
     load_camera,
     load_motion,
+    output_option,
 )
-from cep.cli.search_options import Wish
+from cep.cli.search_options import (
+    CODE,
+    LIMITS,
+    OBJECTIVE,
+    SEARCH,
+    ChipTime,
+    Direction,
+    Duty,
+    MaxOpen,
+    MaxPulses,
+    MinClosed,
+    MinOpen,
+    MinPeriod,
+    OpenChips,
+    Wish,
+)
 from cep.cli.searching import Task, search_of, task_of, unplayable, warnings_of
 
 if TYPE_CHECKING:
@@ -35,90 +53,168 @@ if TYPE_CHECKING:
 __all__ = ["optimize"]
 
 _STANDARD_CHIPS = 52
+_UNSURE = "Uncertain motion and shutter"
 
 
 def optimize(
+    context: typer.Context,
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
     each: Annotated[
         Path | None,
-        typer.Option("--each", help="A code for each motion of a folder, FOLDER/*/trajectory.json, as calibrated."),
+        typer.Option(
+            "--each",
+            metavar="FOLDER",
+            rich_help_panel=MOTION,
+            help="A code for each motion of a folder, FOLDER/*/trajectory.json, as cep calibrate FOLDER writes them.",
+        ),
     ] = None,
-    chips: Annotated[int, typer.Option("--chips", "-n", min=1, help="Number of chips.")] = _STANDARD_CHIPS,
-    open_chips: Annotated[str | None, typer.Option("--open", help="Open chips: K, or LOW:HIGH.")] = None,
-    duty: Annotated[str | None, typer.Option("--duty", help="Open fraction of the time, LOW:HIGH, 0..1.")] = None,
+    chips: Annotated[
+        int, typer.Option("--chips", "-n", metavar="N", min=1, help="Number of chips.", rich_help_panel=CODE)
+    ] = _STANDARD_CHIPS,
+    open_chips: OpenChips = None,
+    duty: Duty = None,
+    chip_ns: ChipTime = 1_000_000,
+    frames: Annotated[
+        int,
+        typer.Option(
+            "--frames",
+            metavar="N",
+            min=1,
+            rich_help_panel=CODE,
+            help="Exposures restored together, each with its own code: code_1.json, ... With --method anneal.",
+        ),
+    ] = 1,
     objective: Annotated[
         str | None,
         typer.Option(
             "--objective",
-            help="min-mtf, flatness, noise or mse, or a mix as min-mtf:0.15,noise:1; mse, or min-mtf where straight.",
+            metavar="NAME",
+            rich_help_panel=OBJECTIVE,
+            help="min-mtf, flatness, noise, mse, or a mix as min-mtf:0.15,noise:1. When omitted: min-mtf for a uniform "
+            "straight motion, else mse.",
         ),
     ] = None,
-    direction: Annotated[
-        str, typer.Option("--direction", help="unknown (both ways count), forward, or auto: as the file says.")
-    ] = "auto",
-    min_open: Annotated[int, typer.Option("--min-open", min=1, help="Shortest open run, chips.")] = 1,
-    max_open: Annotated[int | None, typer.Option("--max-open", min=1, help="Longest open run, chips.")] = None,
-    min_closed: Annotated[int, typer.Option("--min-closed", min=1, help="Shortest closed run, chips.")] = 1,
-    min_period: Annotated[
-        int, typer.Option("--min-period", min=1, help="Fewest chips from one opening to the next.")
-    ] = 1,
-    max_pulses: Annotated[int | None, typer.Option("--max-pulses", min=1, help="Most open runs.")] = None,
-    first_open: Annotated[bool, typer.Option("--first-open", help="The first chip is open.")] = False,
-    last_open: Annotated[bool, typer.Option("--last-open", help="The last chip is open.")] = False,
-    fixed: Annotated[
-        str | None, typer.Option("--fixed", help="A mark per chip: 1 open, 0 closed, ? free, as 1???0?1.")
-    ] = None,
+    direction: Direction = "auto",
     device: Annotated[
-        str | None, typer.Option("--device", help="Search what this shutter can play: a name or a .toml file.")
+        str | None,
+        typer.Option(
+            "--device",
+            metavar="NAME|FILE",
+            rich_help_panel=LIMITS,
+            help="What this shutter can play: a built-in profile or a .toml file. Stricter limits may be added.",
+        ),
     ] = None,
-    chip_ns: Annotated[int, typer.Option("--chip-ns", min=1, help="Chip time, ns.")] = 1_000_000,
+    min_open: MinOpen = 1,
+    max_open: MaxOpen = None,
+    min_closed: MinClosed = 1,
+    min_period: MinPeriod = 1,
+    max_pulses: MaxPulses = None,
+    first_open: Annotated[
+        bool, typer.Option("--first-open", help="The first chip is open.", rich_help_panel=LIMITS)
+    ] = False,
+    last_open: Annotated[
+        bool, typer.Option("--last-open", help="The last chip is open.", rich_help_panel=LIMITS)
+    ] = False,
+    fixed: Annotated[
+        str | None,
+        typer.Option(
+            "--fixed",
+            metavar="MARKS",
+            rich_help_panel=LIMITS,
+            help="A mark for each chip: 1 open, 0 closed, ? free, as 1???0?1.",
+        ),
+    ] = None,
     alternatives: Annotated[
-        bool, typer.Option("--alternatives", help="Design for the other motions that the file holds as well.")
+        bool,
+        typer.Option(
+            "--alternatives", help="Design for the other motions that the file holds as well.", rich_help_panel=_UNSURE
+        ),
     ] = False,
     speed: Annotated[
-        str | None, typer.Option("--speed", help="Design for these factors of the path's length, as 0.8:1.2.")
+        str | None,
+        typer.Option(
+            "--speed",
+            metavar="LOW:HIGH",
+            rich_help_panel=_UNSURE,
+            help="Design for these factors of the path's length, as 0.8:1.2.",
+        ),
     ] = None,
     drift: Annotated[
-        float | None, typer.Option("--drift", help="Design for a shutter clock off by so much, as 0.02.")
+        float | None,
+        typer.Option(
+            "--drift",
+            metavar="SHARE",
+            rich_help_panel=_UNSURE,
+            help="Design for a shutter clock off by this share either way, as 0.02.",
+        ),
     ] = None,
     jitter: Annotated[
-        float | None, typer.Option("--jitter", help="Design for edges off by so many chips rms, 0..0.15.")
+        float | None,
+        typer.Option(
+            "--jitter",
+            metavar="CHIPS",
+            rich_help_panel=_UNSURE,
+            help="Design for edges off by this many chips rms, 0..0.15.",
+        ),
     ] = None,
-    rule: Annotated[str, typer.Option("--rule", help="Of several motions: worst, or the weighted mean.")] = "worst",
+    rule: Annotated[
+        str,
+        typer.Option(
+            "--rule",
+            metavar="NAME",
+            rich_help_panel=_UNSURE,
+            help="Over several motions: worst, or mean (weighted).",
+        ),
+    ] = "worst",
     camera: CameraFile = None,
     photons: Photons = None,
     read_noise: ReadNoise = None,
     method: Annotated[
-        str, typer.Option("--method", help="anneal; or exact, which proves the best min-mtf, to about 40 chips.")
-    ] = "anneal",
-    effort: Annotated[
         str,
         typer.Option(
-            "--bound",
-            help="quick; or sdp: half a minute for a tighter bound, and starts drawn from it, along curved motion.",
+            "--method",
+            metavar="NAME",
+            rich_help_panel=SEARCH,
+            help="anneal; or exact, which proves the best min-mtf, to about 40 chips.",
         ),
-    ] = "quick",
-    frames: Annotated[
-        int, typer.Option("--frames", min=1, help="Exposures restored together, each with its own code: code_1.json")
-    ] = 1,
+    ] = "anneal",
     time_s: Annotated[
         float,
-        typer.Option("--time", help="Time limit of a code, s; what it ends differs from run to run. A proof runs on."),
+        typer.Option(
+            "--time",
+            metavar="S",
+            rich_help_panel=SEARCH,
+            help="Time limit of a code, s; what it ends differs from run to run. A proof runs on.",
+        ),
     ] = 60.0,
     steps: Annotated[
         int | None,
         typer.Option(
-            "--steps", min=1, help="Moves to try; the same seed and moves give the same code. As suits the motion."
+            "--steps",
+            metavar="N",
+            min=1,
+            rich_help_panel=SEARCH,
+            help="Moves to try; the same seed and moves give the same code. As suits the motion.",
         ),
     ] = None,
+    effort: Annotated[
+        str,
+        typer.Option(
+            "--bound",
+            metavar="NAME",
+            rich_help_panel=SEARCH,
+            help="quick; or sdp: half a minute for a tighter bound, and starts drawn from it, along curved motion.",
+        ),
+    ] = "quick",
     workers: Workers = None,
     dask: Dask = None,
     cache: Cache = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--output", help="File to write, code.json; of --each a folder, the motions' own when omitted."
+        output_option(
+            "File to write, code.json when omitted; with --each a folder, the motions' own when omitted.",
+            metavar="PATH",
         ),
     ] = None,
     force: Force = False,
@@ -127,11 +223,17 @@ def optimize(
 ) -> None:
     """Search the shutter code whose coded photo restores best along a motion; Ctrl-C keeps the best so far.
 
-    Of the JSON fields, bound says what no code of so much light can exceed: min_chip for a uniform straight motion,
-    else min_mtf, or with --objective noise the noise gain that none can fall below. gap says how far off this code is,
-    0..1, or in dB for the noise. They are null for other objectives. Noise gains above 100 dB, those of codes with a
-    zero, are null too. The certificate proves the minimum; cep audit code.json checks it again. proven says that no
-    code is better: over the whole unit circle, or, unless one straight motion is all there is, at the band's samples.
+    The code is compared with what would be used instead, its minimum is certified, and a bound says how far from the
+    best it can be at most. cep audit code.json checks the certificate again.
+
+    Fields of --json that need a word:
+
+    - bound: what no code of so much light can exceed: min_chip for a uniform straight motion, else min_mtf. With
+      --objective noise: the noise gain that none can fall below. null for other objectives.
+    - gap: how far this code is from the bound, 0..1; in dB for the noise.
+    - noise_gain_db: null above 100 dB, as of codes with a zero.
+    - proven: no code is better, over the whole unit circle; or, unless one straight motion is all there is, at the
+      band's samples.
 
     Example: cep optimize --trajectory motion/trajectory.json --chips 40 --duty 0.4:0.6 -o code.json
 
@@ -139,7 +241,7 @@ def optimize(
 
     Example: cep optimize --linear 52 --open 26 --objective min-mtf:0.15,noise:1
 
-    Example: cep optimize --each shots_motion --chips 40 --duty 0.4:0.6 --time 600
+    Example: cep optimize --each shots_motion --chips 40 --duty 0.4:0.6 --steps 4000000
     """
     from dataclasses import replace
 
@@ -161,7 +263,10 @@ def optimize(
 
     def task(stored: StoredMotion, path: Path | None) -> Task:
         source = {"trajectory": None if path is None else str(path), "linear_px": linear, "device": device}
-        return task_of(wish, stored, how, camera=light, profile=profile, source=source)
+        try:
+            return task_of(wish, stored, how, camera=light, profile=profile, source=source)
+        except ValueError as error:  # of a folder it stands in the table, and never reaches the command's end
+            raise ValueError(in_options(str(error), context)) from None
 
     if each is not None:
         if trajectory is not None or linear is not None or frames > 1:
@@ -179,7 +284,7 @@ def optimize(
     file = output or Path("code.json")
     if frames > 1:
         if method != "anneal":
-            raise ValueError(f"--frames: several codes are searched with --method anneal only, got {method!r}")
+            raise ValueError(f"--frames: not valid with --method {method}, which searches a single code")
         optimize_frames(
             problem, wanted.searched, frames, described=described, profile=profile, chip_ns=chip_ns, steps=steps,
             time_s=time_s, seed=seed, output=file, force=force, as_json=as_json,

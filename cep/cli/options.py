@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,25 +15,63 @@ if TYPE_CHECKING:
     from motdiff.files import StoredMotion
 
 __all__ = [
-    "CameraFile", "ChipNs", "CodeSource", "Force", "Gamma", "Json", "Linear", "Photons", "ReadNoise", "Seed",
-    "TrajectoryFile", "code_figures", "code_file", "code_label", "load_camera", "load_code", "load_motion",
+    "CAMERA", "COMMON", "MOTION", "CameraFile", "ChipNs", "CodeSource", "Force", "Gamma", "Json", "Linear", "Photons",
+    "ReadNoise", "Seed", "TrajectoryFile", "code_figures", "code_file", "code_label", "load_camera", "load_code",
+    "load_motion", "output_option",
 ]  # fmt: skip
 
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw; the same seed, the same files.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace outputs that exist.")]
-Gamma = Annotated[str, typer.Option("--gamma", help='Curve of the file: "srgb", "linear", or an exponent as 2.2.')]
-TrajectoryFile = Annotated[
-    Path | None, typer.Option("--trajectory", help="Motion: a trajectory.json, as cep calibrate writes it.")
+COMMON, MOTION, CAMERA = "Common options", "Motion", "Camera"
+"""Panels of the help pages."""
+
+Json = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.", rich_help_panel=COMMON)
 ]
-Linear = Annotated[float | None, typer.Option("--linear", help="Motion: straight and uniform, this many px long.")]
+Seed = Annotated[
+    int,
+    typer.Option(
+        "--seed", metavar="N", min=0, help="Seed of every random draw; the same seed, the same files.",
+        rich_help_panel=COMMON,
+    ),
+]  # fmt: skip
+Force = Annotated[bool, typer.Option("--force", help="Replace outputs that exist.", rich_help_panel=COMMON)]
+Gamma = Annotated[
+    str, typer.Option("--gamma", metavar="CURVE", help="Curve of the photo: srgb, linear, or an exponent as 2.2.")
+]
+TrajectoryFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--trajectory", metavar="FILE", help="A trajectory.json, as cep calibrate writes it.", rich_help_panel=MOTION
+    ),
+]
+Linear = Annotated[
+    float | None,
+    typer.Option(
+        "--linear", metavar="PX", help="Straight and uniform motion, this many px long.", rich_help_panel=MOTION
+    ),
+]
 CodeSource = Annotated[
     str, typer.Argument(metavar="CODE", help="Bits as 1011..., a code.json, or the name of a published code.")
 ]
-ChipNs = Annotated[int | None, typer.Option("--chip-ns", min=1, help="Chip time, ns; replaces the file's.")]
-CameraFile = Annotated[Path | None, typer.Option("--camera", help="Camera: a .json or .toml with its figures.")]
-Photons = Annotated[float | None, typer.Option("--photons", help="Camera: photo-electrons at full scale.")]
-ReadNoise = Annotated[float | None, typer.Option("--read-noise", help="Camera: read noise, electrons rms.")]
+ChipNs = Annotated[
+    int | None, typer.Option("--chip-ns", metavar="NS", min=1, help="Chip time, ns; replaces the file's.")
+]
+CameraFile = Annotated[
+    Path | None,
+    typer.Option("--camera", metavar="FILE", help="A .json or .toml with its figures.", rich_help_panel=CAMERA),
+]
+Photons = Annotated[
+    float | None,
+    typer.Option("--photons", metavar="N", help="Photo-electrons at full scale.", rich_help_panel=CAMERA),
+]
+ReadNoise = Annotated[
+    float | None,
+    typer.Option("--read-noise", metavar="N", help="Read noise, electrons rms.", rich_help_panel=CAMERA),
+]
+
+
+def output_option(help: str, *, metavar: str = "FILE") -> Any:
+    """Make the option ``-o`` of a command."""
+    return typer.Option("-o", "--output", metavar=metavar, help=help, rich_help_panel=COMMON)
 
 
 def load_motion(trajectory: Path | None, linear: float | None) -> StoredMotion:

@@ -9,6 +9,7 @@ import typer
 
 from cep.cli.console import finish, progress, table
 from cep.cli.options import (
+    COMMON,
     CameraFile,
     Force,
     Json,
@@ -19,6 +20,20 @@ from cep.cli.options import (
     TrajectoryFile,
     load_camera,
     load_motion,
+    output_option,
+)
+from cep.cli.search_options import (
+    CODE,
+    SEARCH,
+    ChipTime,
+    Direction,
+    Duty,
+    MaxOpen,
+    MaxPulses,
+    MinClosed,
+    MinOpen,
+    MinPeriod,
+    OpenChips,
 )
 
 if TYPE_CHECKING:
@@ -35,31 +50,43 @@ _FIGURES = (".png", ".pdf", ".svg")
 def pareto(
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
-    chips: Annotated[int, typer.Option("--chips", "-n", min=2, help="Number of chips.")] = 52,
-    open_chips: Annotated[str | None, typer.Option("--open", help="Open chips: K, or LOW:HIGH.")] = None,
-    duty: Annotated[str | None, typer.Option("--duty", help="Open fraction of the time, LOW:HIGH, 0..1.")] = None,
-    direction: Annotated[
-        str, typer.Option("--direction", help="unknown (both ways count), forward, or auto: as the file says.")
-    ] = "auto",
-    min_open: Annotated[int, typer.Option("--min-open", min=1, help="Shortest open run, chips.")] = 1,
-    max_open: Annotated[int | None, typer.Option("--max-open", min=1, help="Longest open run, chips.")] = None,
-    min_closed: Annotated[int, typer.Option("--min-closed", min=1, help="Shortest closed run, chips.")] = 1,
-    min_period: Annotated[
-        int, typer.Option("--min-period", min=1, help="Fewest chips from one opening to the next.")
-    ] = 1,
-    max_pulses: Annotated[int | None, typer.Option("--max-pulses", min=1, help="Most open runs.")] = None,
-    chip_ns: Annotated[int, typer.Option("--chip-ns", min=1, help="Chip time, ns.")] = 1_000_000,
+    chips: Annotated[
+        int, typer.Option("--chips", "-n", metavar="N", min=2, help="Number of chips.", rich_help_panel=CODE)
+    ] = 52,
+    open_chips: OpenChips = None,
+    duty: Duty = None,
+    chip_ns: ChipTime = 1_000_000,
+    direction: Direction = "auto",
+    min_open: MinOpen = 1,
+    max_open: MaxOpen = None,
+    min_closed: MinClosed = 1,
+    min_period: MinPeriod = 1,
+    max_pulses: MaxPulses = None,
     camera: CameraFile = None,
     photons: Photons = None,
     read_noise: ReadNoise = None,
-    time_s: Annotated[float, typer.Option("--time", help="Time limit of the search, s.")] = 60.0,
+    time_s: Annotated[
+        float, typer.Option("--time", metavar="S", help="Time limit of the search, s.", rich_help_panel=SEARCH)
+    ] = 60.0,
     steps: Annotated[
         int | None,
-        typer.Option("--steps", min=0, help="Moves to try; the same seed and moves give the same front. Until --time."),
+        typer.Option(
+            "--steps",
+            metavar="N",
+            min=0,
+            rich_help_panel=SEARCH,
+            help="Moves to try; the same seed and moves give the same front. Until --time.",
+        ),
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")] = Path("front.json"),
+    output: Annotated[Path, output_option("File to write.")] = Path("front.json"),
     plot: Annotated[
-        Path | None, typer.Option("--plot", help="Figure to write: .png, .pdf or .svg. Named as the output, .png.")
+        Path | None,
+        typer.Option(
+            "--plot",
+            metavar="FILE",
+            rich_help_panel=COMMON,
+            help="Figure to write: .png, .pdf or .svg; named as the output, .png, when omitted.",
+        ),
     ] = None,
     force: Force = False,
     seed: Seed = 0,

@@ -50,7 +50,7 @@ def search_of(method: str, effort: str, *, steps: int | None, time_s: float, see
     if effort not in ("quick", "sdp"):
         raise ValueError(f"--bound: must be quick or sdp, got {effort!r}")
     if method == "exact" and steps is not None:
-        raise ValueError("--steps: a proof with --method exact counts every code; leave it out")
+        raise ValueError("--steps: not valid with --method exact, which counts every code")
     return Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)  # type: ignore[arg-type]
 
 

@@ -21,23 +21,29 @@ from cep.cli.options import (
     load_camera,
     load_code,
     load_motion,
+    output_option,
 )
 
 __all__ = ["simulate"]
 
 
 def simulate(
-    sharp: Annotated[Path, typer.Argument(help="Sharp photo of the scene: PNG, TIFF, JPEG or RAW.")],
+    sharp: Annotated[Path, typer.Argument(metavar="SHARP", help="Sharp photo of the scene: PNG, TIFF, JPEG or RAW.")],
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
-    code: Annotated[str | None, typer.Option("--code", help="Code of the exposure; the open shutter without.")] = None,
+    code: Annotated[
+        str | None,
+        typer.Option(
+            "--code",
+            metavar="CODE",
+            help="Code of the exposure: bits, code.json or a name; the open shutter when omitted.",
+        ),
+    ] = None,
     camera: CameraFile = None,
     photons: Photons = None,
     read_noise: ReadNoise = None,
     gamma: Gamma = "srgb",
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Photo to write; SHARP_coded.png when omitted.")
-    ] = None,
+    output: Annotated[Path | None, output_option("Photo to write; SHARP_coded.png when omitted.")] = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,

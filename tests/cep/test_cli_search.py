@@ -125,12 +125,15 @@ def test_only_what_a_strobe_can_play_is_proposed(cep, workplace):
         (("--method", "exact", "--steps", "9"), "--steps"),
         (("--rule", "median"), "rule"),
         (("--min-closed", "9", "--open", "8", "--max-pulses", "1", "--fixed", "1?????0????1"), "conflict"),
-        (("--max-open", "2", "--min-open", "3"), "min_open 3 and max_open 2 conflict: no code of 12 chips keeps both"),
+        (
+            ("--max-open", "2", "--min-open", "3"),
+            "--min-open 3 and --max-open 2 conflict: no code of 12 chips keeps both",
+        ),
         (("--max-open", "0"), "--max-open"),
         (("--min-period", "0"), "--min-period"),
         (
             ("--min-period", "7", "--max-open", "2", "--open", "5"),
-            "open_range 5..5, max_open 2 and min_period 7 conflict",
+            "--open 5..5, --max-open 2 and --min-period 7 conflict",
         ),
         (("--device", "dark.toml"), "chip_ns: dark opens for 10 ns at most, a chip must not last longer"),
     ],

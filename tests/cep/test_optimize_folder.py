@@ -76,7 +76,7 @@ def test_motions_that_fail_are_told_by_name_and_the_others_kept(cep, motions):
     failures = cep.json["failures"]
     assert list(failures) == ["b[1]", "c"]
     assert failures["b[1]"].startswith("not a JSON file")
-    assert "12 are too many for a path of 2.0 px" in failures["c"]
+    assert failures["c"].startswith("--chips: 12 chips are too many for a path of 2.0 px")
     assert {row["motion"]: row["failure"] for row in rows_of("codes/codes.csv") if row["failure"]} == failures
     assert sorted(path.name for path in Path("codes").iterdir()) == ["a", "cells", "codes.csv"]
 
@@ -110,7 +110,7 @@ def test_what_is_wrong_with_the_options_is_one_line_whatever_else_is_wrong(cep, 
     Path("motions/a/trajectory.json").write_text("{")
     Path("motions/c/code.json").write_text("precious")
     line = cep.refuses(*EACH, "--speed", "1.2:0.8", "--force")
-    assert line.startswith("cep: speed: factors must be above 0 and in order")
+    assert line.startswith("cep: --speed: factors must be above 0 and in order")
     assert Path("motions/c/code.json").read_text() == "precious"
     assert not Path("motions/codes.csv").exists()
 
