@@ -18,6 +18,7 @@ __all__ = [
     "machines_markdown",
     "made_json",
     "markdown_table",
+    "means_in_words",
     "tables_csv",
     "tables_json",
     "tables_markdown",
@@ -30,6 +31,19 @@ def tables_markdown(tables: Sequence[Table]) -> str:
     """Lay out tables as Markdown, bold where a paired test says so."""
     blocks = [f"**{table.title}**\n\n{markdown_table(table.head, table.lines(('**', '**')))}\n" for table in tables]
     return "\n".join(blocks)
+
+
+def means_in_words(tables: Sequence[Table]) -> str:
+    """Say what the figures of tables are: intervals and bold rows only where there are some."""
+    if not any(entry.told for table in tables for entries in table.rows.values() for entry in entries):
+        return (
+            "Means. There are too few photos or motions for intervals, and for a paired test that would make the best "
+            "bold."
+        )
+    return (
+        "Means, and in brackets their 95 % intervals for other photos and other motions alike; the best is bold only "
+        "where a paired test tells it from the next one."
+    )
 
 
 def markdown_table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:

@@ -43,6 +43,10 @@ class Column:
     digits: int = 2
     middle: Literal["mean", "median"] = "mean"
 
+    def shown(self, entry: Entry) -> float:
+        """Return the mean or median of a row, whichever is shown."""
+        return entry.summary.mean if self.middle == "mean" else entry.summary.median
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -66,6 +70,11 @@ class Entry:
     lead: Interval | None = None
     runner_up: str = ""
     bold: bool = False
+
+    @property
+    def told(self) -> Interval | None:
+        """The interval where there is evidence for one: a single photo or motion leaves it infinite."""
+        return self.interval if self.interval is not None and math.isfinite(self.interval.high) else None
 
 
 @dataclass(frozen=True)
@@ -251,8 +260,8 @@ def _in_words(entry: Entry, column: Column, cells: int, mark: tuple[str, str]) -
     if entry.summary.n == 0:
         return "–"
     digits = column.digits
-    text = f"{getattr(entry.summary, column.middle):.{digits}f}"
+    text = f"{column.shown(entry):.{digits}f}"
     text = f"{mark[0]}{text}{mark[1]}" if entry.bold else text
-    if entry.interval is not None and math.isfinite(entry.interval.high):
-        text += f" ({entry.interval.low:.{digits}f}..{entry.interval.high:.{digits}f})"
+    if (told := entry.told) is not None:
+        text += f" ({told.low:.{digits}f}..{told.high:.{digits}f})"
     return text if entry.summary.n == cells else f"{text}, {entry.summary.n} of {cells}"

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from cep.bench.engine import Outcome
     from cep.bench.index import Part
-    from cep.bench.tables import Entry, Table
+    from cep.bench.tables import Column, Entry, Table
     from cep.cli.console import Tick
 
 __all__ = [
@@ -175,19 +175,16 @@ def figures_of(tables: Sequence[Table]) -> dict[str, Any]:
 
 
 def show_tables(console: Console, tables: Sequence[Table]) -> None:
-    """Print the tables' means for people, who find the intervals in the files."""
+    """Print the tables' means, or medians, for people, who find the intervals in the files."""
     for one in tables:
-        lines = [
-            (label, *map(_mean, entries, (column.digits for column in one.columns)), one.cells[label])
-            for label, entries in one.rows.items()
-        ]
-        console.print(table(one.title, one.head, lines))
+        lines = [(label, *map(_shown, one.columns, entries), one.cells[label]) for label, entries in one.rows.items()]
+        console.print(table(one.title, one.head, lines, kept=1))
 
 
-def _mean(entry: Entry, digits: int) -> str | None:
+def _shown(column: Column, entry: Entry) -> str | None:
     if entry.summary.n == 0:
         return None
-    text = f"{entry.summary.mean:.{digits}f}"
+    text = f"{column.shown(entry):.{column.digits}f}"
     return f"[bold]{text}[/bold]" if entry.bold else text
 
 

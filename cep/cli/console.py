@@ -7,14 +7,16 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, ConsoleOptions
 
 __all__ = ["BAD_INPUT", "FAILURE", "INTERRUPTED", "Tick", "complain", "explain", "finish", "progress", "table", "warn"]
 
 FAILURE, BAD_INPUT, INTERRUPTED = 1, 2, 130
+_WIDE = 16  # characters: longer cells are texts, which wrap, as names do, but to no fewer
 
 
 class Tick(Protocol):
@@ -115,17 +117,67 @@ def progress(task: str) -> Iterator[Tick]:
         yield tick
 
 
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> Any:
-    """Make a rich table: the first column is text, the others figures; None is printed as a dash."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
+@dataclass(frozen=True)
+class Table:
+    """A table that fits the console: heads and texts wrap first, then columns are left out, and named below it.
 
-    made = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
-    for index, column in enumerate(columns):
-        made.add_column(column, justify="right" if index else "left", no_wrap=index > 0)
-    for row in rows:
-        made.add_row(*(_cell(value) for value in row))
-    return made
+    Attributes
+    ----------
+    title : str
+    columns : sequence of str
+        Heads; the first column has the rows' names, which are always there and whole.
+    rows : sequence of sequences
+        Rich markup, numbers, and None for a dash.
+    kept : int
+        Columns at the end that are left out last.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    kept: int = 0
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Any]:
+        """Render what fits."""
+        from rich.box import SIMPLE_HEAD
+        from rich.table import Table as RichTable
+
+        texts = [[_cell(value) for value in row] for row in self.rows]
+        shown, widths = self._fitted(texts, options.max_width)
+        made = RichTable(title=self.title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+        for index, width in zip(shown, widths, strict=True):
+            justify: Any = "left" if index == 0 or _longest(texts, index) > _WIDE else "right"
+            made.add_column(self.columns[index], justify=justify, width=width, overflow="fold")
+        for row in texts:
+            made.add_row(*(row[index] for index in shown))
+        yield made
+        left_out = [self.columns[index] for index in range(len(self.columns)) if index not in shown]
+        if left_out:
+            yield f"left out, as {options.max_width} columns are too narrow: {'; '.join(left_out)} (all are in --json)"
+
+    def _fitted(self, texts: Sequence[Sequence[str]], available: int) -> tuple[list[int], list[int]]:
+        """Choose the columns shown and their widths."""
+        cells = [_longest(texts, index) for index in range(len(self.columns))]
+        natural = [max(cell, len(head)) for cell, head in zip(cells, self.columns, strict=True)]
+        least = [
+            min(whole, _WIDE) if index == 0 or cell > _WIDE else max(cell, *map(len, head.split() or [""]))
+            for index, (whole, cell, head) in enumerate(zip(natural, cells, self.columns, strict=True))
+        ]
+        shown = list(range(len(self.columns)))
+        while len(shown) > 1 and sum(least[index] for index in shown) + _rules(len(shown)) > available:
+            shown.pop(-1 - self.kept if len(shown) > 1 + self.kept else -1)
+        widths = [least[index] for index in shown]
+        spare = available - _rules(len(shown)) - sum(widths)
+        for place, index in enumerate(shown):  # names first
+            more = min(max(spare, 0), natural[index] - widths[place])
+            widths[place] += more
+            spare -= more
+        return shown, widths
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, kept: int = 0) -> Table:
+    """Make a table: the first column is text, the others figures or texts; None is printed as a dash."""
+    return Table(title, columns, rows, kept)
 
 
 def _cell(value: object) -> str:
@@ -136,6 +188,18 @@ def _cell(value: object) -> str:
     if isinstance(value, float):
         return number(value) if abs(value) < 1000 else f"{value:.1f}"
     return str(value)
+
+
+def _longest(texts: Sequence[Sequence[str]], index: int) -> int:
+    """Width of a column's widest cell."""
+    from rich.text import Text
+
+    return max((Text.from_markup(row[index]).cell_len for row in texts), default=0)
+
+
+def _rules(columns: int) -> int:
+    """Characters around and between so many columns."""
+    return 3 * columns - 1
 
 
 def _ignore(_fraction: float, _note: str = "", /) -> None:

@@ -13,6 +13,7 @@ from cep.bench.layout import TABLES_SCHEMA, tables_csv, tables_json, tables_mark
 from cep.bench.machine import machine
 from cep.bench.statistics import mean_interval, summed_up
 from cep.bench.tables import Column, differences, tabulate
+from cep.cli.bench_options import show_tables
 from cep.cli.console import table as rich_table
 
 PSNR = Column("psnr_db", "PSNR, dB", better="high")
@@ -186,6 +187,17 @@ def test_people_see_it_on_a_console():
     shown = console.file.getvalue()
     mean = f"{table.rows['ours'][0].summary.mean:.2f}"
     assert f"\x1b[1m{mean}\x1b[0m (" in shown
+
+
+def test_people_see_the_median_where_that_is_shown():
+    """The mean of an infinite figure is infinite, whatever the others are."""
+    figures = {
+        ("open", f"photo {p}", "motion 0"): {"gain_db": gain_db} for p, gain_db in enumerate((math.inf, 20.0, 22.5))
+    }
+    tables = [made(figures, Column("gain_db", "gain, dB", middle=middle, digits=1)) for middle in ("median", "mean")]
+    console = Console(file=io.StringIO(), width=60)
+    show_tables(console, tables)
+    assert [line.split()[1] for line in console.file.getvalue().splitlines() if "open" in line] == ["22.5", "inf"]
 
 
 @pytest.mark.parametrize(

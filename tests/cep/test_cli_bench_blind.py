@@ -127,6 +127,15 @@ def test_finished_cells_are_found_again_and_a_quick_run_is_a_part(cep, studio, g
     assert "2 photos, 2 motions, 2 pairs of them.\n" in text
 
 
+def test_intervals_are_promised_only_where_the_tables_have_some(cep, studio, guesses):
+    """Two photos with one motion each give none."""
+    for options, promised in ((), True), (("--quick",), False):
+        cep.succeeds(*BLIND, *options, "-o", f"out{promised}", "--cache", "cells")
+        introduction, *tables = Path(f"out{promised}/blind.md").read_text().split("\n\n**")
+        assert ("95 % intervals" in introduction) == promised
+        assert any(".." in table for table in tables) == promised
+
+
 CLAIMED = ("--protocol", "tiny.toml", "--methods", "pmp,parametric", "--quick")
 RESERVATIONS = ("photos are those of scikit-image: too few", "smaller training budgets than MoTDiff's 209,600")
 

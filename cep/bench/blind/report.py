@@ -11,7 +11,7 @@ from cep.bench.blind.run import Plan
 from cep.bench.blind.tables import cells_csv
 from cep.bench.engine import Outcome
 from cep.bench.figures import FIGURE_SUFFIXES, write_figure
-from cep.bench.layout import tables_csv, tables_json, tables_markdown
+from cep.bench.layout import means_in_words, tables_csv, tables_json, tables_markdown
 from cep.bench.tables import Table
 from cep.outputs import new_folder
 from motdiff.evaluation.measure import RESTORATION
@@ -71,9 +71,8 @@ def write_report(
         If one cannot be written.
     """
     lines = shown(outcome.results, methods=pictured) if pictured else []
-    restored = any(column.figure == "psnr_db" for table in tables for column in table.columns)
     with new_folder(folder, outputs(name), force=force) as made:
-        text = _introduction(name, plan, outcome, command, warnings, restored) + tables_markdown(tables)
+        text = _introduction(name, plan, outcome, tables, command, warnings) + tables_markdown(tables)
         absent = {**(unmeasured or {}), **_failed(outcome)}
         text += "".join(f"\n{method} is not measured: {reason}.\n" for method, reason in absent.items())
         if lines:
@@ -95,17 +94,17 @@ def write_report(
 
 
 def _introduction(
-    name: str, plan: Plan, outcome: Outcome, command: str, warnings: Sequence[str], restored: bool
+    name: str, plan: Plan, outcome: Outcome, tables: Sequence[Table], command: str, warnings: Sequence[str]
 ) -> str:
     machines = "; ".join(_in_words(machine) for machine in outcome.machines)
+    restored = any(column.figure == "psnr_db" for table in tables for column in table.columns)
     head = [
         f"# The {name} table",
         "",
         f"Made by `{command}`, protocol `{plan.protocol.name}`, seed {plan.protocol.seed}, on",
         f"{machines or 'no machine'}.",
         f"{_counts(plan)}.",
-        "Means, and in brackets their 95 % intervals for other photos and other motions alike;",
-        "the best is bold only where a paired test tells it from the next one.",
+        means_in_words(tables),
         *(_RESTORED if restored else ()),
         *(f"\n- {warning}" for warning in warnings),
         "",

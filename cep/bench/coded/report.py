@@ -12,7 +12,7 @@ from cep.bench.coded.run import CodedTable
 from cep.bench.coded.tables import harmed, shots_csv
 from cep.bench.coded.told import ESTIMATORS
 from cep.bench.figures import FIGURE_SUFFIXES, write_figure
-from cep.bench.layout import tables_csv, tables_json, tables_markdown
+from cep.bench.layout import means_in_words, tables_csv, tables_json, tables_markdown
 from cep.bench.tables import Table
 from cep.outputs import new_folder
 
@@ -61,7 +61,7 @@ def write_coded_report(
     dict from a file's name to its path
     """
     with new_folder(folder, OUTPUTS, force=force) as made:
-        text = _introduction(measured, command, warnings) + tables_markdown(tables)
+        text = _introduction(measured, tables, command, warnings) + tables_markdown(tables)
         if measured.shots:
             write_figure(_figure(measured), made, "cep")
             text += "\n![photo, coded photo with code and PSF, restored photo, MTF](cep.png)\n"
@@ -101,7 +101,7 @@ def _light(protocol: CodedProtocol) -> str:
     return said + (", codes searched for each light level" if protocol.objective == "mse" else "")
 
 
-def _introduction(measured: CodedTable, command: str, warnings: Sequence[str]) -> str:
+def _introduction(measured: CodedTable, tables: Sequence[Table], command: str, warnings: Sequence[str]) -> str:
     protocol = measured.protocol
     photos = len({shot.photo for shot in measured.shots})
     counts = {name: harmed(measured, name) for name in ("both-ways", "one-way")}
@@ -123,8 +123,8 @@ def _introduction(measured: CodedTable, command: str, warnings: Sequence[str]) -
         if protocol.photons
         else "Every photo has the light of the open shutter, as if coding cost none: snapshots and "
         "strobes, which shut out the most, are shown apart.",
-        "Means, and in brackets their 95 % intervals for other photos and other motions alike; the best is bold only "
-        "where a paired test tells it from the next one. PSNR and SSIM up to shift, 32 px of border left out.",
+        f"{means_in_words(tables)} PSNR and SSIM up to shift, 32 px of border left out. A noise gain is infinite where "
+        "the MTF has a zero on a line, as an open shutter's has on straight motion.",
         *(f"\n- {warning}" for warning in warnings),
         *(
             f"\nMNC of the estimated path's PSF ({ESTIMATORS[kind]}): mean {sum(values) / len(values):.3f}."

@@ -23,6 +23,7 @@ _GAIN = (  # infinite where an open shutter meets a straight motion
     Column("noise_gain_db", "noise gain, dB, median", middle="median"),
     Column("worse_noise_gain_db", "worse direction, dB, median", middle="median"),
 )
+_ZEROS = Column("zero", "share with a zero")
 _FREE_LIGHT = ("snapshot", "strobe")
 _REFERENCE = "both-ways"
 
@@ -56,7 +57,8 @@ def coded_tables(measured: CodedTable, *, reference: str = _REFERENCE) -> list[T
             less = differences(figures, DESIGNS[reference].label)
             title = f"{DESIGNS[reference].label} less each other row{light}"
             tables.append(_table(title, less, _PLAIN, measured))
-        tables.append(_table(f"Noise gain of the codes along the true motion{light}", figures, _GAIN, measured))
+        gains = (*_GAIN, _ZEROS) if any(own["zero"] for own in figures.values()) else _GAIN
+        tables.append(_table(f"Noise gain of the codes along the true motion{light}", figures, gains, measured))
     return tables
 
 
@@ -112,6 +114,7 @@ def _figures(shots: Sequence[Shot]) -> dict[Name, Mapping[str, Figure]]:
         (DESIGNS[shot.design].label, shot.photo, str(shot.motion)): {
             **shot.figures,
             "worse_noise_gain_db": _worse(shot.figures),
+            "zero": float(math.isinf(_worse(shot.figures))),
         }
         for shot in shots
     }
