@@ -8,6 +8,8 @@ __version__ : str
 
 from __future__ import annotations
 
+__all__ = ["__version__"]
+
 
 def __getattr__(name: str) -> str:
     # on demand: importlib.metadata is a tenth of what `cep --help` may take

@@ -12,7 +12,6 @@ from cep.cli.options import ChipNs, CodeSource, Force, Json, Linear, TrajectoryF
 from cep.cli.programs import ClockPpm, files_read, load_program, open_port, program_figures
 
 if TYPE_CHECKING:
-
     from hw.program import Program
     from hw.recordings.playback import Verification
 
