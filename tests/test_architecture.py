@@ -36,8 +36,8 @@ NEVER = {"torchvision", "matplotlib.pyplot", "pylab"}
 
 COMMANDS = "cep/cli/"
 COMMANDS_MAY_IMPORT = {
-    "__future__", "collections", "contextlib", "dataclasses", "os", "pathlib", "re", "shutil", "signal", "sys", "textwrap",
-    "time", "traceback", "typing", "typer", "cep",
+    "__future__", "collections", "contextlib", "dataclasses", "os", "pathlib", "re", "shutil", "signal", "sys",
+    "textwrap", "time", "traceback", "typing", "typer", "cep",
 }  # fmt: skip
 """At the top of a command's module: `cep --help` answers in under half a second."""
 
@@ -226,7 +226,10 @@ def public_modules_list_what_they_offer(modules):
             yield f"{module.path}: has {len(assignments) or 'no'} __all__"
             continue
         offered = ast.literal_eval(assignments[0])
-        for name in sorted(set(offered) - _defined(module.tree)):
+        defined = _defined(module.tree)
+        if "__getattr__" in defined:  # names made on demand: the tests of that module ask for each
+            continue
+        for name in sorted(set(offered) - defined):
             yield f"{module.path}: __all__ names {name}, which does not exist"
         for name in sorted(name for name in set(offered) if offered.count(name) > 1):
             yield f"{module.path}: __all__ names {name} twice"
@@ -341,6 +344,7 @@ MADE_UP = {  # a file called bad breaks the rule, a file called good keeps it
         "cep/bad4/__init__.py": DOC + "x = 1\n",
         "cep/good1.py": DOC + "__all__ = ['f', 'X']\nX = 1\nasync def f():\n    pass\n",
         "cep/good2/__init__.py": DOC,
+        "cep/good4/__init__.py": DOC + "__all__ = ['f']\ndef __getattr__(name):\n    pass\n",
         "cep/good2/__main__.py": DOC + "print()\n",
         "cep/_good3.py": DOC,
     },
