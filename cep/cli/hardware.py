@@ -17,7 +17,6 @@ from cep.cli.programs import (
     Device,
     LeaseMs,
     Port,
-    files_read,
     load_program,
     named_port,
     open_port,
@@ -128,7 +127,8 @@ def upload(
         raise ValueError(f"--clock-ppm: {driver} cannot stretch chips, only cxp does")
     named_port(port)
     program, profile = load_program(code, chip_ns=chip_ns, device=device)
-    claim([output] if output else [], force=force, inputs=files_read(code))
+    file = code_file(code)
+    claim([output] if output else [], force=force, inputs=[] if file is None else [file])
     wish = _Wish(program, profile, port, arm=arm, play=play, lease_ms=lease_ms, clock_ppm=clock_ppm)
     with _UPLOADS[driver](wish) as report:
         result = {

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -20,7 +18,6 @@ __all__ = [
     "Device",
     "LeaseMs",
     "Port",
-    "files_read",
     "load_program",
     "named_port",
     "open_port",
@@ -93,11 +90,6 @@ def named_port(port: str) -> str:
     if not port.strip():
         raise ValueError("--port: must name a port, as /dev/ttyACM0 or COM3, a USB serial number or auto")
     return port
-
-
-def files_read(*sources: str | Path | None) -> list[Path]:
-    """Return those of a command's sources that are files; a code given as bits or by its name is none."""
-    return [Path(source) for source in sources if source is not None and os.path.isfile(source)]
 
 
 def program_figures(program: Program, profile: DeviceProfile | None) -> dict[str, object]:

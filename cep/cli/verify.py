@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cep.cli.console import FAILURE, complain, finish, table
-from cep.cli.options import ChipNs, CodeSource, Force, Json, Linear, TrajectoryFile, load_motion
-from cep.cli.programs import ClockPpm, files_read, load_program, open_port, program_figures
+from cep.cli.options import ChipNs, CodeSource, Force, Json, Linear, TrajectoryFile, code_file, load_motion
+from cep.cli.programs import ClockPpm, load_program, open_port, program_figures
 
 if TYPE_CHECKING:
     from hw.program import Program
@@ -70,7 +70,7 @@ def verify(
 
     motion = None if trajectory is None and linear is None else load_motion(trajectory, linear).trajectory
     written = _outputs(output, with_psf=motion is not None)
-    claim(written, force=force, inputs=files_read(code, capture, trajectory))
+    claim(written, force=force, inputs=[file for file in (code_file(code), capture, trajectory) if file])
     recording = read_capture(capture)
     trace = recording.trace(signal)
     plays = align(trace, program, trigger=recording.trace(trigger) if trigger else None)
