@@ -27,7 +27,8 @@ from cep.calibrate import METHODS, make_estimator
 from cep.images import read_image, write_image
 from cep.restore import restore
 from motdiff.estimators.base import Estimator, MotionEstimate
-from motdiff.gyro import GyroTrace, read_gyro
+from motdiff.gyro import GyroTrace
+from motdiff.gyro_tables import read_gyro
 from motdiff.metrics import mnc, mnc_subpixel, psnr_up_to_shift
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.simulate import blur_valid, valid_window

@@ -19,7 +19,8 @@ from scipy import ndimage
 
 from motdiff.estimators.gyro import GyroEstimator
 from motdiff.estimators.reference import ReferenceEstimator
-from motdiff.gyro import GyroTrace, read_gyro, trajectory_from_gyro
+from motdiff.gyro import GyroTrace, trajectory_from_gyro
+from motdiff.gyro_tables import read_gyro
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.simulate import photograph

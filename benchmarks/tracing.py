@@ -14,7 +14,8 @@ import numpy as np
 from _inputs import smooth_trace
 from scipy import spatial
 
-from motdiff.gyro import GyroTrace, read_gyro
+from motdiff.gyro import GyroTrace
+from motdiff.gyro_tables import read_gyro
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.tracing import fit_dwell, trace_map, trace_psf_to_trajectory

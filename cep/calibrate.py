@@ -34,7 +34,7 @@ CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.pn
 
 _LEAST_CONTRAST = 2 / 255
 _NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}}
-_ALLOWED = {"motdiff": {"samples", "quick"}}
+_ALLOWED = {"motdiff": {"samples", "quick"}, "gyro": {"rate_unit"}}
 
 
 def check_options(method: str, options: Mapping[str, object]) -> None:
@@ -44,7 +44,8 @@ def check_options(method: str, options: Mapping[str, object]) -> None:
     ----------
     method : str
     options : mapping
-        Those of :func:`make_estimator` that differ from method to method; None is not given.
+        Those of :func:`make_estimator` that differ from method to method, and ``rate_unit``, that of the recording
+        for "gyro"; None is not given.
 
     Raises
     ------

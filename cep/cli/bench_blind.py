@@ -182,7 +182,7 @@ def _plan(
     from cep.bench.blind.methods import chosen, label_of
     from cep.bench.blind.protocol import Protocol
     from cep.bench.blind.run import planned
-    from motdiff.gyro import read_gyro
+    from motdiff.gyro_tables import read_gyro
 
     loaded = Protocol.load(protocol, quick=quick)
     if gyro is not None and loaded.motion.gyro == 0:

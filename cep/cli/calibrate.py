@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, cast
 
 import typer
 
@@ -67,6 +67,15 @@ def calibrate(
         float | None,
         typer.Option("--exposure", metavar="S", help="Exposure time, s; needed.", rich_help_panel=_WITH_GYRO),
     ] = None,
+    gyro_unit: Annotated[
+        str | None,
+        typer.Option(
+            "--gyro-unit",
+            metavar="UNIT",
+            help="rad or deg, of the rates; as the header says when omitted, else rad.",
+            rich_help_panel=_WITH_GYRO,
+        ),
+    ] = None,
     samples: Annotated[
         int | None,
         typer.Option(
@@ -102,11 +111,11 @@ def calibrate(
     from cep.calibrate import CALIBRATION_FILES, check_options, check_texture, make_estimator, write_calibration
     from cep.images import parse_gamma, read_image, read_photo
     from cep.outputs import claim_folder
-    from motdiff.gyro import read_gyro
+    from motdiff.gyro_tables import read_gyro
 
     options = {
         "samples": samples, "quick": quick or None, "sharp": sharp, "gyro": gyro, "focal_px": focal,
-        "start_s": start, "exposure_s": exposure,
+        "start_s": start, "exposure_s": exposure, "rate_unit": gyro_unit,
     }  # fmt: skip
     if image.is_dir():
         calibrate_folder(
@@ -116,12 +125,14 @@ def calibrate(
         return
     only_of_folders("cep calibrate FOLDER", workers, dask, cache)
     check_options(method, options)
+    if gyro_unit not in (None, "rad", "deg"):
+        raise ValueError(f"--gyro-unit: must be rad or deg, got {gyro_unit!r}")
     parse_gamma(gamma)
     folder = output or image.with_name(f"{image.stem}_motion")
     claim_folder(folder, CALIBRATION_FILES, force=force)
     photo = read_photo(image, gamma=gamma)
     sharp_photo = None if sharp is None else read_image(sharp, gamma=gamma)
-    recording = None if gyro is None else read_gyro(gyro)
+    recording = None if gyro is None else read_gyro(gyro, rate_unit=cast(Any, gyro_unit))
     started = time.perf_counter()
     try:
         check_texture(photo.pixels)  # before anything slow is loaded

@@ -55,11 +55,18 @@ class GyroEstimator:
         Raises
         ------
         ValueError
-            If the exposure does not lie within the trace, or a parameter is not positive.
+            If the exposure does not lie within the trace, a parameter is not positive, or the path needs a frame
+            larger than the photo, as that of rates in deg/s that were read as rad/s.
         """
         height, width = crops.luminance(photo).shape
         window = {"start_s": self.start_s, "exposure_s": self.exposure_s}
         trajectory = trajectory_from_gyro(self.trace, focal_px=self.focal_px, axes=self.axes, **window)
+        needed = trajectory.frame_size()
+        if needed > max(height, width):  # before anything of that size is made
+            raise ValueError(
+                f"rate_unit: the rates move the image by {trajectory.extent_px:.4g} px during the exposure; the frame "
+                f"of {needed} px that this needs is larger than the photo ({width} x {height} px); are they in deg/s?"
+            )
         roll = roll_rad(self.trace, axes=self.axes, **window)
         corner_px = 0.5 * math.hypot(height, width)
         inside = (self.trace.t_s >= self.start_s) & (self.trace.t_s <= self.start_s + self.exposure_s)
@@ -75,9 +82,12 @@ class GyroEstimator:
             warnings.append(
                 f"Only {readings} gyro readings during the exposure ({1 / step_s:.0f} Hz): faster shake is not seen."
             )
-        frame = max(self.size, trajectory.frame_size())
+        frame = max(self.size, needed)
         if frame > self.size:
-            warnings.append(f"The path needs a PSF frame of {frame} px, more than the {self.size} px asked for.")
+            warnings.append(
+                f"The path needs a PSF frame of {frame} px, more than the {self.size} px asked for; "
+                "if that is too long, the rates may be in deg/s."
+            )
         lost = roll * corner_px / max(trajectory.extent_px + roll * corner_px, 1e-9)
         sampled = max(0.0, 1 - step_s / self.exposure_s) if readings else 0.0
         details: dict[str, object] = {

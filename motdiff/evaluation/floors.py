@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from motdiff.evaluation.sets import PSF_PX, Case
-from motdiff.gyro import read_gyro
+from motdiff.gyro_tables import read_gyro
 from motdiff.quadratic import most_alike_quadratic
 from motdiff.trajectory import Trajectory
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from motdiff.gyro import read_gyro
+from motdiff.gyro_tables import read_gyro
 from motdiff.simulate import add_noise, blur_symmetric, blur_valid, valid_window
 from motdiff.trajectory import Trajectory
 

@@ -13,7 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from motdiff.gyro import GyroTrace, read_gyro
+from motdiff.gyro import GyroTrace
+from motdiff.gyro_tables import read_gyro
 from motdiff.motions import boracchi_foi, quadratic, random_gyro_motion, random_straight
 from motdiff.trajectory import Trajectory
 

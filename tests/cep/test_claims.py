@@ -49,7 +49,7 @@ WORK = (
     "cep.images._decode", "cep.calibrate.make_estimator", "cep.optimize.search", "cep.cli.frames._search",
     "cep.search.fronts.pareto.pareto_front", "cep.certify.certificate.certify", "cep.plots.mtf_figure",
     "cep.restore.restore", "cep.bench.engine.run_cells", "cep.bench.coded.run.measure_coded",
-    "hw.drivers.finding.open_controller", "hw.recordings.capture.read_vcd", "hw.emulation.uno.EmulatedUno",
+    "hw.drivers.finding.open_controller", "hw.recordings.capture.read_capture", "hw.emulation.uno.EmulatedUno",
     "hw.export.csv_edges.export", "cep.demo.run_chain", "cep.demo.bundled_scene",
 )  # fmt: skip
 

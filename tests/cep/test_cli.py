@@ -507,6 +507,33 @@ def test_calibrate_from_a_gyroscope(cep, workplace):
     assert Path("blurred_motion/trajectory.json").exists()
 
 
+GYRO = ("calibrate", "blurred.png", "--method", "gyro", "--gyro", "gyro.csv", "--focal", "1000", "--exposure", "0.2")
+
+
+def test_a_recording_in_degrees(cep, workplace):
+    """Read as rad/s it is refused with the question; the option or the header tells it, and the path is the same."""
+    t = np.arange(0, 1, 0.005)
+    rates = np.stack([0.5 * np.sin(9 * t), 0.8 * np.cos(7 * t), 0 * t], axis=1)
+
+    def write(rates, head):
+        np.savetxt("gyro.csv", np.column_stack([rates, 1.6e9 + t]), "%.9f", ",", header=head, comments="")
+
+    start = ("--start", "1600000000.3")
+    write(rates, "wx,wy,wz,t_s")
+    truth = cep.succeeds(*GYRO, *start, "-o", "truth")["length_px"]
+    write(np.degrees(rates), "wx,wy,wz,t_s")
+    assert re.match(r"cep: --gyro-unit: .*deg/s\?$", cep.refuses(*GYRO, *start, "-o", "none"))
+    assert not Path("none").exists()
+    assert cep.succeeds(*GYRO, *start, "--gyro-unit", "deg", "-o", "a")["length_px"] == pytest.approx(truth, rel=1e-6)
+    write(np.degrees(rates), "gx_dps,gy_dps,gz_dps,t_s")
+    assert cep.succeeds(*GYRO, *start, "-o", "b")["length_px"] == pytest.approx(truth, rel=1e-6)
+    assert "--gyro-unit" in cep.refuses(*GYRO, *start, "--gyro-unit", "rad", "-o", "none")
+    assert "--gyro-unit: must be rad or deg" in cep.refuses(*GYRO, *start, "--gyro-unit", "rpm", "-o", "none")
+    line = cep.refuses(*GYRO, "--start", "1600000000.9", "-o", "none")
+    assert line.startswith("cep: --start: the exposure 1600000000.9000..1600000001.1000 s must lie within")
+    assert "rate_unit" in cep.refuses("calibrate", "blurred.png", "--gyro-unit", "deg")
+
+
 def test_calibrate_from_a_point_of_light(cep, workplace):
     motion = Trajectory.from_samples([[0, 0], [10, 3], [12, 12]])
     night = np.full((128, 128), 0.01)

@@ -1,6 +1,7 @@
 """The gyro estimator against the path that its readings were taken from."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -64,7 +65,7 @@ def test_sparse_readings_and_long_paths_are_told() -> None:
     estimate = GyroEstimator(slow, focal_px=100, start_s=0.41, exposure_s=0.05).estimate(np.zeros((9, 9)))
     assert any("gyro readings" in warning for warning in estimate.warnings)
     assert estimate.confidence == 0
-    far = GyroEstimator(trace, focal_px=30_000, start_s=0.3, exposure_s=0.3).estimate(np.zeros((9, 9)))
+    far = GyroEstimator(trace, focal_px=30_000, start_s=0.3, exposure_s=0.3).estimate(np.zeros((300, 400)))
     assert any("PSF frame" in warning for warning in far.warnings)
     assert far.psf.sum() == pytest.approx(1)
     assert len(far.psf) == far.trajectories[0].frame_size() > 64
@@ -76,3 +77,49 @@ def test_errors_pass_through() -> None:
         GyroEstimator(trace, focal_px=100, start_s=1.95, exposure_s=0.1).estimate(np.zeros((9, 9)))
     with pytest.raises(ValueError, match="photo"):
         GyroEstimator(trace, focal_px=100, start_s=0.5, exposure_s=0.1).estimate(np.zeros(9))
+
+
+def test_degrees_read_as_radians_are_refused_before_anything_is_drawn(monkeypatch) -> None:
+    """57 times too long, the path leaves the photo: the question is asked at once, whatever the rates."""
+    trace = shake(0)
+    window = {"focal_px": FOCAL_PX, "start_s": 0.4, "exposure_s": 0.1}
+    photo = np.zeros((600, 800))
+    assert GyroEstimator(trace, **window).estimate(photo).trajectories[0].extent_px < 64
+
+    def drawn(*_arguments, **_options):
+        raise AssertionError("a PSF is drawn")
+
+    monkeypatch.setattr("motdiff.trajectory.Trajectory.psf", drawn)
+    single = trace.rate_rad_s.copy()
+    single[1800] = 1e8
+    for rates in (np.degrees(trace.rate_rad_s), single):
+        with pytest.raises(ValueError, match=r"^rate_unit: .* px .*800 x 600 px.*deg/s\?$"):
+            GyroEstimator(GyroTrace(trace.t_s, rates), **window).estimate(photo)
+
+
+@pytest.mark.parametrize("clock_s", [0.0, 2.5e5, 1.6e9])
+def test_the_clock_may_count_from_1970(clock_s: float) -> None:
+    trace = shake(2)
+    path = trajectory_from_gyro(trace, focal_px=FOCAL_PX, start_s=0.5, exposure_s=0.2)
+    late = GyroTrace(trace.t_s + clock_s, trace.rate_rad_s)
+    found = trajectory_from_gyro(late, focal_px=FOCAL_PX, start_s=clock_s + 0.5, exposure_s=0.2)
+    t = np.linspace(0, 1, 50)
+    np.testing.assert_allclose(found.at(t), path.at(t), atol=1e-3)
+    for start_s in (clock_s - 0.01, clock_s + 1.9):
+        with pytest.raises(ValueError, match="within the trace"):
+            trajectory_from_gyro(late, focal_px=FOCAL_PX, start_s=start_s, exposure_s=0.2)
+
+
+@pytest.mark.parametrize("clock_s", [0.000_04, 1234.567_89, 1_600_000_012.345_678])
+def test_the_times_told_are_times_that_can_be_chosen(clock_s: float) -> None:
+    trace = shake(3)
+    late = GyroTrace(trace.t_s + clock_s, trace.rate_rad_s)
+    with pytest.raises(ValueError, match="within the trace") as caught:
+        trajectory_from_gyro(late, focal_px=FOCAL_PX, start_s=5.0 + clock_s, exposure_s=0.1)
+    asked, there = re.findall(r"(\d+\.\d+)\.\.(\d+\.\d+) s", str(caught.value))
+    assert float(asked[0]) == pytest.approx(5.0 + clock_s, abs=1e-4)
+    first_s, last_s = map(float, there)
+    assert first_s == pytest.approx(late.t_s[0], abs=1.1e-4)
+    assert last_s == pytest.approx(late.t_s[-1], abs=1.1e-4)
+    for start_s in (first_s, last_s - 0.1):
+        trajectory_from_gyro(late, focal_px=FOCAL_PX, start_s=start_s, exposure_s=0.1)

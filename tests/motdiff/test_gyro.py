@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motdiff.gyro import GyroTrace, image_rates_rad_s, read_gyro, roll_rad, trajectory_from_gyro
+from motdiff.gyro import GyroTrace, image_rates_rad_s, roll_rad, trajectory_from_gyro
+from motdiff.gyro_tables import read_gyro
 
 
 def trace(rate: np.ndarray, rate_hz: float = 200.0, start_s: float = 0.0) -> GyroTrace:
@@ -193,3 +194,76 @@ def test_binary_and_missing_files(tmp_path: Path) -> None:
 def test_bad_traces(t: list[float], rate: np.ndarray, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         GyroTrace(np.array(t), rate)
+
+
+VALUES = "3,9,2,1,0.00\n6,9,5,4,0.01\n"  # z, another sensor, y, x, time
+LOGGERS = {
+    "plain": "wz,ax,wy,wx,t_s",
+    "brackets": "wz [rad/s],ax [m/s^2],wy [rad/s],wx [rad/s],time [s]",
+    "round brackets": "gyro_z(rad/s),acc_x(m/s2),gyro_y(rad/s),gyro_x(rad/s),timestamp(s)",
+    "phyphox": '"Gyroscope z (rad/s)","Absolute (rad/s)","Gyroscope y (rad/s)","Gyroscope x (rad/s)","Time (s)"',
+    "Sensor Logger": "z,accuracy,y,x,seconds_elapsed",
+    "EuRoC": "#w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],w_RS_S_y [rad s^-1],w_RS_S_x [rad s^-1],timestamp [s]",
+    "SensorLog": "gyroRotationZ(rad/s),accelerometerX(G),gyroRotationY(rad/s),gyroRotationX(rad/s),"
+    "gyroTimestamp_sinceReboot(s)",
+    "motion": "motionRotationRateZ(rad/s),motionYaw(rad),motionRotationRateY(rad/s),motionRotationRateX(rad/s),"
+    "motionTimestamp_sinceReboot(s)",
+    "ROS": "field.angular_velocity.z,field.linear_acceleration.x,field.angular_velocity.y,field.angular_velocity.x,"
+    "%time_secs",
+    "capitals": "GYRO_Z,ACC_X,GYRO_Y,GYRO_X,TIME_S",
+    "a remark": "# gz ax gy gx time_sec",
+    "spaces": "wz (rad/s) ax (g) wy (rad/s) wx (rad/s) t (s)",
+    "another sensor's x, y, z": "gz,x,gy,gx,t_sec",
+}
+
+
+@pytest.mark.parametrize("logger", LOGGERS)
+def test_headers_of_common_loggers(tmp_path: Path, logger: str) -> None:
+    path = tmp_path / "gyro.csv"
+    values = VALUES.replace(",", " ") if logger == "spaces" else VALUES
+    path.write_text(f"{LOGGERS[logger]}\n{values}")
+    read = read_gyro(path)
+    np.testing.assert_array_equal(read.rate_rad_s, [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(read.t_s, [0, 0.01])
+
+
+@pytest.mark.parametrize(
+    "names",
+    ["gx_dps,gy_dps,gz_dps", "wx [deg/s],wy [deg/s],wz [deg/s]", "gyro_x(deg/s),gyro_y(deg/s),gyro_z(deg/s)",
+     "Gyroscope X (°/s),Gyroscope Y (°/s),Gyroscope Z (°/s)", "x_deg_per_s,y_deg_per_s,z_deg_per_s",
+     "gyro_x (degrees/second),gyro_y (degrees/second),gyro_z (degrees/second)"],
+)  # fmt: skip
+def test_rates_in_degrees_by_the_header(tmp_path: Path, names: str) -> None:
+    path = tmp_path / "gyro.csv"
+    path.write_text(f"t_s,{names}\n0,180,90,0\n0.01,0,-90,360\n", encoding="utf-8")
+    expected = np.pi * np.array([[1, 0.5, 0], [0, -0.5, 2]])
+    np.testing.assert_allclose(read_gyro(path).rate_rad_s, expected)
+    np.testing.assert_allclose(read_gyro(path, rate_unit="deg").rate_rad_s, expected)
+    np.testing.assert_array_equal(read_gyro(path, rate_unit="rad").rate_rad_s[0], [180, 90, 0])
+
+
+def test_the_unit_of_rates_may_be_said_in_the_call(tmp_path: Path) -> None:
+    path = tmp_path / "gyro.csv"
+    for text in ("0,180,90,0\n0.01,0,-90,360\n", "t_s,wx,wy,wz\n0,180,90,0\n0.01,0,-90,360\n"):
+        path.write_text(text)
+        np.testing.assert_allclose(read_gyro(path, rate_unit="deg").rate_rad_s[0], [np.pi, np.pi / 2, 0])
+        np.testing.assert_array_equal(read_gyro(path).rate_rad_s[0], [180, 90, 0])
+    with pytest.raises(ValueError, match="rate_unit: must be one of rad, deg"):
+        read_gyro(path, rate_unit="rpm")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("names", ["gx [mdps],gy [mdps],gz [mdps]", "wx [deg/s],wy [rad/s],wz [deg/s]"])
+def test_rates_in_unknown_or_different_units_are_not_guessed_at(tmp_path: Path, names: str) -> None:
+    path = tmp_path / "gyro.csv"
+    path.write_text(f"t_s,{names}\n0,180,90,0\n0.01,0,-90,360\n")
+    with pytest.raises(ValueError, match="missing column wx"):
+        read_gyro(path)
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_a_decimal_comma(tmp_path: Path, separator: str) -> None:
+    path = tmp_path / "gyro.csv"
+    path.write_text("t_s;wx;wy;wz\n0,00;1,5;2;3\n0,01;4;-5,25;6\n".replace(";", separator))
+    read = read_gyro(path)
+    np.testing.assert_array_equal(read.t_s, [0, 0.01])
+    np.testing.assert_array_equal(read.rate_rad_s, [[1.5, 2, 3], [4, -5.25, 6]])

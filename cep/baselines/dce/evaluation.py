@@ -14,7 +14,7 @@ from cep.baselines.dce.shipped import SHIPPED, restore
 from cep.code import ShutterCode
 from cep.exposure import coded_psf
 from cep.restore.wiener import wiener
-from motdiff.gyro import read_gyro
+from motdiff.gyro_tables import read_gyro
 from motdiff.metrics import psnr
 from motdiff.simulate import add_noise, blur_valid, to_linear, valid_window
 from motdiff.training.motion_bank import PSF_PX, MotionMix, draw_motion

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from cep.exposure import chip_psfs
-from motdiff.gyro import read_gyro
+from motdiff.gyro_tables import read_gyro
 from motdiff.simulate import to_linear, valid_window
 from motdiff.training.motion_bank import PSF_PX, MotionMix, draw_motion
 from motdiff.training.photos import crops
