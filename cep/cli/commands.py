@@ -26,7 +26,7 @@ _SET_BY = {
     "name": ("names",),
     "open_range": ("open", "duty"),
     "photons_full_scale": ("photons",),
-    "rate_unit": ("gyro_unit", "gyro-unit"),
+    "rate_unit": ("gyro_unit",),
     "response": ("device",),
     "scenarios": ("alternatives", "speed", "drift", "jitter", "trajectory", "linear"),
     "sigma_chips": ("jitter",),
