@@ -27,6 +27,7 @@ from cep.calibrate import METHODS, make_estimator
 from cep.images import read_image, write_image
 from cep.restore import restore
 from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.evaluation.sets import levin as levin_cases
 from motdiff.gyro import GyroTrace
 from motdiff.gyro_tables import read_gyro
 from motdiff.metrics import mnc, mnc_subpixel, psnr_up_to_shift
@@ -47,24 +48,21 @@ def estimated(estimator: Estimator, photo: FloatArray) -> tuple[MotionEstimate, 
 
 
 def levin(folder: Path, estimator: Estimator) -> None:
-    from scipy.io import loadmat
-
     rows = []
     print("image            MNC int  sub-pixel  path MNC  conf   TV dB   CPU s   published: MNC   TV dB")
-    for path in sorted(folder.glob("*.mat")):
-        data = loadmat(path)
-        truth, blurred = np.rot90(data["f"], 2), np.clip(data["y"], 0, 1)
+    for case in levin_cases(folder):
+        truth, blurred = case.psf, case.photo
         estimate, seconds = estimated(estimator, blurred)
-        published = folder / "pmp_kernels" / f"tvmpr_{path.stem}_kernel.png"
+        published = folder / "pmp_kernels" / f"tvmpr_{case.name}_kernel.png"
         figures = [mnc(estimate.psf, truth), mnc_subpixel(estimate.psf, truth)]
         figures += [mnc_subpixel(estimate.trajectories[0].psf(), truth), estimate.confidence]
-        figures += [restored_db(blurred, estimate.psf, data["x"]), seconds]
+        figures += [restored_db(blurred, estimate.psf, case.sharp), seconds]
         if published.exists():
             kernel = cv2.imread(str(published), cv2.IMREAD_GRAYSCALE).astype(float)
             kernel /= kernel.sum()
-            figures += [mnc_subpixel(kernel, truth), restored_db(blurred, kernel, data["x"])]
+            figures += [mnc_subpixel(kernel, truth), restored_db(blurred, kernel, case.sharp)]
         rows.append(figures)
-        print(f"{path.stem:16s}", "  ".join(f"{figure:7.3f}" for figure in figures), flush=True)
+        print(f"{case.name:16s}", "  ".join(f"{figure:7.3f}" for figure in figures), flush=True)
     print(f"{'mean':16s}", "  ".join(f"{figure:7.3f}" for figure in np.mean(rows, axis=0)))
 
 

@@ -62,7 +62,7 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
         and not (but is not None and path.exists() and path.samefile(but))
     ]
     if not found:
-        raise ValueError(f"{root}: holds no photos (.png, .tif, .jpg or RAW files; subfolders are left alone)")
+        raise ValueError(f"{root}: holds no photos (.png, .tif, .jpg, .webp or RAW files; subfolders are left alone)")
     by_stem: dict[str, Path] = {}
     for path in found:
         other = by_stem.setdefault(path.stem.casefold(), path)  # some file systems do not tell A from a
@@ -176,7 +176,7 @@ def estimate_photo(
     """
     try:
         read = read_photo(photo, gamma=gamma)
-        sharp_pixels = None if sharp is None else read_image(sharp, gamma=gamma)
+        sharp_pixels = None if sharp is None else read_image(sharp, gamma=gamma, variable="x")
         began_s = time.perf_counter()
         check_texture(read.pixels)
         # as many as there are workers run at once, and sums must not depend on how many do

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cep.outputs import write_text
+from motdiff.inputs import one_line, read_json, read_toml
 from motdiff.simulate import add_noise, blur_valid, to_display, to_linear, valid_window
 
 __all__ = ["SCHEMA", "Camera", "capture", "visible"]
@@ -61,7 +61,10 @@ class Camera:
         for name in ("photons_full_scale", "read_noise_e", "black_level"):
             if isinstance(value := getattr(self, name), bool) or not isinstance(value, int | float | np.number):
                 raise ValueError(f"{name}: must be a number, got {value!r}")
-            object.__setattr__(self, name, float(value))
+            try:
+                object.__setattr__(self, name, float(value))
+            except OverflowError:  # whole numbers have no largest one
+                raise ValueError(f"{name}: must be a number below 1e308, got a larger one") from None
         if not 0 < self.photons_full_scale <= _LARGEST_PHOTONS:
             raise ValueError(f"photons_full_scale: must lie within 0..1e9 and above 0, got {self.photons_full_scale}")
         if not (np.isfinite(self.read_noise_e) and self.read_noise_e >= 0):
@@ -150,18 +153,13 @@ class Camera:
         OSError
             If the file cannot be read.
         """
-        suffix = _suffix(path)
-        try:
-            text = Path(path).read_text(encoding="utf-8-sig")  # Windows editors write a mark first
-            document = json.loads(text) if suffix == ".json" else tomllib.loads(text)
-        except (json.JSONDecodeError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path}: not a {suffix[1:].upper()} file ({error})") from None
+        document = read_json(path) if _suffix(path) == ".json" else read_toml(path)
         if not isinstance(document, dict):
             raise ValueError(f"{path}: wanted an object with a camera's fields, found {type(document).__name__}")
         try:
             return cls.from_dict(document)
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise ValueError(f"{path}: {one_line(error)}") from None
 
     def to_file(self, path: Path | str) -> None:
         """Write the camera as ``.json`` or ``.toml``, whole or not at all.

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
 from io import BytesIO
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from cep.code import ShutterCode
 from cep.images import read_photo
 from cep.outputs import new_files, write_bytes, write_text
+from motdiff import inputs
 from motdiff.crops import luminance
+from motdiff.inputs import one_line, regular_file
+from motdiff.mat_files import levin_psf, read_mat
 
 __all__ = [
     "CODE_SCHEMA",
@@ -93,7 +98,7 @@ def read_code(path: Path | str) -> StoredCode:
     try:
         code = ShutterCode(document["bits"], document["chip_ns"])
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{path}: {one_line(error)}") from None
     return StoredCode(code, *parts)
 
 
@@ -107,13 +112,10 @@ def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:
     OSError
         If the file cannot be read.
     """
-    try:
-        document = json.loads(Path(path).read_text(encoding="utf-8-sig"))  # Windows editors write a mark first
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: not a JSON file ({error})") from None
+    document = inputs.read_json(path)
     found = document.get("schema") if isinstance(document, dict) else type(document).__name__
     if not isinstance(document, dict) or found != schema:
-        raise ValueError(f'{path}: wanted schema "{schema}", found {found!r}')
+        raise ValueError(f'{path}: wanted schema "{schema}", found {one_line(repr(found))}')
     return document
 
 
@@ -181,7 +183,10 @@ def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple
 
 
 def read_psf(path: Path | str) -> NDArray[np.float64]:
-    """Read a PSF from ``.npy``, ``.mat`` (variable ``psf``) or an image (whose samples are taken as linear).
+    """Read a PSF from ``.npy``, ``.mat`` or an image (whose samples are taken as linear).
+
+    Of a ``.mat`` file the variable ``psf`` is read as it is; where there is none, ``f``, the kernel in Levin's files,
+    which is turned by 180 degrees: see :func:`motdiff.mat_files.levin_psf`.
 
     Returns
     -------
@@ -197,35 +202,33 @@ def read_psf(path: Path | str) -> NDArray[np.float64]:
     source = Path(path)
     suffix = source.suffix.lower()
     if suffix == ".npy":
-        try:
-            psf = np.load(source, allow_pickle=False)
-        except (ValueError, EOFError) as error:
-            raise ValueError(f"{source}: not a NumPy array file ({error})") from None
+        psf = _psf_from_npy(source)
     elif suffix == ".mat":
         psf = _psf_from_mat(source)
     else:
         psf = _psf_from_image(source)
     if psf.ndim != 2 or min(psf.shape) < 1 or psf.dtype.kind not in "fiu":
-        raise ValueError(f"{source}: a PSF is one table of real numbers, found shape {psf.shape} of {psf.dtype}")
+        kind = one_line(repr(psf.dtype.name))
+        raise ValueError(f"{source}: a PSF is one table of real numbers, found shape {psf.shape} of {kind}")
     kernel = psf.astype(np.float64)
     if not np.isfinite(kernel).all() or kernel.min() < 0 or kernel.sum() <= 0:
         raise ValueError(f"{source}: a PSF must be finite, not negative and not all zero")
     return np.asarray(kernel)
 
 
-def _psf_from_mat(source: Path) -> NDArray[Any]:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    source.stat()  # loadmat tries other names when this one is missing
+def _psf_from_npy(source: Path) -> NDArray[Any]:
     try:
-        variables = loadmat(str(source))
-    except (MatReadError, ValueError, TypeError, NotImplementedError) as error:
-        raise ValueError(f"{source}: not a MATLAB file that SciPy can read ({error})") from None
-    if "psf" not in variables:
-        names = ", ".join(name for name in variables if not name.startswith("__")) or "nothing"
-        raise ValueError(f'{source}: wanted a variable "psf", found {names}')
-    return np.asarray(variables["psf"])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # headers of old versions of NumPy
+            # mapped: a header that promises more than there is takes no memory
+            return np.lib.format.open_memmap(regular_file(source), mode="r")
+    except (ValueError, TypeError, OverflowError, EOFError, SyntaxError, TokenError, RecursionError) as error:
+        raise ValueError(f"{source}: not a NumPy array file ({one_line(error)})") from None
+
+
+def _psf_from_mat(source: Path) -> NDArray[Any]:
+    variables = read_mat(source, ["psf", "f"])
+    return variables["psf"] if "psf" in variables else levin_psf(variables["f"])
 
 
 def _psf_from_image(source: Path) -> NDArray[Any]:

@@ -1,11 +1,7 @@
-"""Photographs in and out: PNG, TIFF, JPEG and RAW files as linear light, 0..1; 16 bit stays 16 bit."""
+"""Photographs in and out: PNG, TIFF, JPEG, WebP, RAW and .mat files as linear light, 0..1; 16 bit stays 16 bit."""
 
 from __future__ import annotations
 
-import struct
-import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cep.outputs import new_file
+from motdiff.decoding import decode, decoder_output
+from motdiff.inputs import one_line, regular_file
+from motdiff.mat_files import read_mat
+from motdiff.photo_files import check_px, photo_bytes
 from motdiff.simulate import to_display, to_linear
 
 __all__ = [
@@ -37,11 +37,15 @@ PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 """What :func:`write_image` writes."""
 
 _RAW = {".3fr", ".arw", ".cr2", ".cr3", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".srw"}
-PHOTO_SUFFIXES = (*PICTURE_SUFFIXES, *sorted(_RAW))
-"""What :func:`read_photo` reads."""
-
-_PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
-_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_RAW_OPTIONS: dict[str, Any] = {
+    "gamma": (1, 1),
+    "output_bps": 16,
+    "use_camera_wb": True,
+    "no_auto_bright": True,
+    "adjust_maximum_thr": 0.0,  # full scale is the sensor's, not the brightest pixel of this photo
+}
+PHOTO_SUFFIXES = (*PICTURE_SUFFIXES, ".webp", *sorted(_RAW))
+"""Photos of a folder: what :func:`read_photo` reads, but for .mat files, which hold other things as well."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class Photo:
     bits : int
         Bits per sample of the file: 8, 16, or 32 for floating point.
     warnings : tuple of str
-        What was lost on the way, one sentence each.
+        What was lost or assumed on the way, one sentence each.
     """
 
     pixels: FloatArray
@@ -63,49 +67,50 @@ class Photo:
     warnings: tuple[str, ...] = ()
 
 
-def read_image(path: Path | str, *, gamma: str | float = "srgb") -> FloatArray:
+def read_image(path: Path | str, *, gamma: str | float = "srgb", variable: str = "y") -> FloatArray:
     """Read a photo's pixels: :func:`read_photo` without the particulars."""
-    return read_photo(path, gamma=gamma).pixels
+    return read_photo(path, gamma=gamma, variable=variable).pixels
 
 
-def read_photo(path: Path | str, *, gamma: str | float = "srgb", min_side_px: int = MIN_SIDE_PX) -> Photo:
+def read_photo(
+    path: Path | str, *, gamma: str | float = "srgb", min_side_px: int = MIN_SIDE_PX, variable: str = "y"
+) -> Photo:
     """Read a photo as linear light.
 
     Parameters
     ----------
-    path : path of a PNG, TIFF, JPEG, or (with the extra ``raw``) RAW file
+    path : path of a PNG, TIFF, JPEG, WebP, .mat or (with the package ``rawpy``) RAW file
     gamma : {"srgb", "linear"} or float
-        How the file's numbers encode light: the sRGB curve, not at all, or ``value ** gamma``. Floating-point TIFF and
-        RAW files hold linear light already, whatever is asked.
+        How the file's numbers encode light: the sRGB curve, not at all, or ``value ** gamma``. Floating-point TIFF, RAW
+        and .mat files hold linear light already, whatever is asked.
     min_side_px : int
         Smaller images are refused.
+    variable : str
+        Of a .mat file: the variable that is the photo. In Levin's files ``y`` is blurred and ``x`` sharp.
 
     Raises
     ------
     ValueError
-        If the file is empty, cut short, not an image, too small, or holds NaN; the line names it.
+        If the file is empty, cut short, not an image, too small, has more than :data:`motdiff.photo_files.MOST_PX`
+        pixels, or holds NaN; the line names it.
     OSError
         If the file cannot be read.
     """
     source = Path(path)
     exponent = _exponent(gamma)
-    if source.is_dir():
-        raise ValueError(f"{source}: is a folder, one image file is needed")
-    if source.suffix.lower() in _RAW:
-        return _read_raw(source)
-    data = source.read_bytes()
-    _check_complete(source, data)
-    decoded = _decode(source, data)
+    suffix = source.suffix.lower()
     warnings: tuple[str, ...] = ()
-    if decoded.ndim == 3 and decoded.shape[2] == 4:
-        alpha = decoded[:, :, 3]
-        if alpha.min() < (1 if decoded.dtype.kind == "f" else np.iinfo(decoded.dtype).max):
-            warnings = (f"{source}: the transparency (alpha channel) was dropped",)
-        decoded = decoded[:, :, :3]
-    if decoded.ndim == 3:
-        decoded = decoded[:, :, 0] if decoded.shape[2] == 1 else decoded[:, :, ::-1]
-    if min(decoded.shape[:2]) < min_side_px:
-        height, width = decoded.shape[:2]
+    if suffix in _RAW:
+        decoded = _read_raw(source)
+        exponent = 1.0
+    elif suffix == ".mat":
+        decoded = _read_mat(source, variable)
+        exponent = 1.0
+        warnings = (f'{source}: its variable "{variable}" was taken as linear light, as it is stored',)
+    else:
+        decoded, warnings = _read_picture(source)
+    height, width = decoded.shape[:2]
+    if min(height, width) < min_side_px:
         raise ValueError(f"{source}: {width} x {height} px is too small, at least {min_side_px} px a side is needed")
     if decoded.dtype.kind == "f":
         return Photo(_checked_float(source, decoded), 32, warnings)
@@ -201,93 +206,49 @@ def _exponent(gamma: str | float) -> float | None:
     return checked
 
 
-def _decode(source: Path, data: bytes) -> NDArray[Any]:
-    import cv2
-
-    # A JPEG may say how the camera was held; OpenCV turns it upright unless told "unchanged".
-    turned = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
-    flags = turned if data.startswith(_JPEG) else cv2.IMREAD_UNCHANGED
-    with _silent_opencv(cv2):
-        try:
-            decoded = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-        except cv2.error:
-            decoded = None
-    if decoded is None:
-        raise ValueError(f"{source}: the image is damaged or cut short and cannot be decoded")
-    return np.asarray(decoded)
-
-
-@contextmanager
-def _silent_opencv(cv2: Any) -> Iterator[None]:
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        cv2.utils.logging.setLogLevel(level)
+def _read_picture(source: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
+    """Decode to samples (H, W) or (H, W, 3), red green blue, as the file has them; and say what was lost."""
+    decoded, damage = decode(photo_bytes(source), source)
+    warnings = tuple(f"{source}: the image is damaged in places ({line})" for line in damage)
+    if decoded.ndim == 3 and decoded.shape[2] == 4:
+        alpha = decoded[:, :, 3]
+        if alpha.min() < (1 if decoded.dtype.kind == "f" else np.iinfo(decoded.dtype).max):
+            warnings += (f"{source}: the transparency (alpha channel) was dropped",)
+        decoded = decoded[:, :, :3]
+    if decoded.ndim == 3:
+        decoded = decoded[:, :, 0] if decoded.shape[2] == 1 else decoded[:, :, ::-1]
+    return decoded, warnings
 
 
 def _checked_float(source: Path, decoded: NDArray[Any]) -> FloatArray:
-    pixels = decoded.astype(np.float64)
-    if not np.isfinite(pixels).all():
-        raise ValueError(f"{source}: {int((~np.isfinite(pixels)).sum())} samples are NaN or infinite")
-    if pixels.min() < -1e-6 or pixels.max() > 1 + 1e-6:
-        raise ValueError(f"{source}: samples run from {pixels.min():.4g} to {pixels.max():.4g}, scale them to 0..1")
-    return np.ascontiguousarray(np.clip(pixels, 0, 1))
+    with np.errstate(invalid="ignore"):
+        low, high = float(decoded.min()), float(decoded.max())  # either is NaN where a sample is
+    if not (np.isfinite(low) and np.isfinite(high)):
+        raise ValueError(f"{source}: {int((~np.isfinite(decoded)).sum())} samples are NaN or infinite")
+    if low < -1e-6 or high > 1 + 1e-6:
+        raise ValueError(f"{source}: samples run from {low:.4g} to {high:.4g}, scale them to 0..1")
+    pixels = np.array(decoded, dtype=np.float64, order="C")
+    return np.clip(pixels, 0, 1, out=pixels)
 
 
-def _check_complete(source: Path, data: bytes) -> None:
-    """Refuse what decoders half-read: they fill the missing part of a cut file with grey and call it a success."""
-    if not data:
-        raise ValueError(f"{source}: the file is empty")
-    if data.startswith(_PNG):
-        complete = _png_complete(data)
-    elif data.startswith(_JPEG):
-        complete = _jpeg_complete(data)
-    elif data.startswith(_TIFF):
-        complete = True  # libtiff refuses cut files by itself
-    else:
-        raise ValueError(f"{source}: not a PNG, JPEG or TIFF image (it begins with {data[:12]!r})")
-    if not complete:
-        raise ValueError(f"{source}: the image is damaged or cut short after {len(data)} bytes")
+def _read_mat(source: Path, variable: str) -> NDArray[Any]:
+    samples = read_mat(source, [variable])[variable]
+    if samples.ndim not in (2, 3) or samples.shape[2:] not in ((), (3,)) or not samples.size:
+        raise ValueError(f"{source}: its variable {variable} has the shape {samples.shape}, wanted (H, W) or (H, W, 3)")
+    check_px(samples.shape[1], samples.shape[0], source)
+    return samples
 
 
-def _png_complete(data: bytes) -> bool:
-    """Walk the chunks to IEND, checking each CRC (PNG specification, section 5.3)."""
-    at = len(_PNG)
-    while at + 12 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, at)
-        if at + 12 + length > len(data):
-            return False
-        (crc,) = struct.unpack_from(">I", data, at + 8 + length)
-        if zlib.crc32(memoryview(data)[at + 4 : at + 8 + length]) != crc:
-            return False
-        if kind == b"IEND":
-            return True
-        at += 12 + length
-    return False
-
-
-def _jpeg_complete(data: bytes) -> bool:
-    """Walk the segments to the first scan, then look for the end marker: a thumbnail's own end does not count."""
-    at = 2
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
-        at += 2 + length
-        if marker == 0xDA:
-            return data.find(b"\xff\xd9", at) >= 0
-    return False
-
-
-def _read_raw(source: Path) -> Photo:
-    source.stat()  # a missing file is told before a missing extra
+def _read_raw(source: Path) -> NDArray[np.uint16]:
+    regular_file(source)  # a missing file is told before a missing package
     try:
         import rawpy
     except ImportError:
-        raise ValueError(f"{source}: RAW files need an extra: pip install coded-exposure[raw]") from None
+        raise ValueError(f"{source}: RAW files need a package besides: pip install rawpy") from None
     try:
-        with rawpy.imread(str(source)) as raw:
-            linear = raw.postprocess(gamma=(1, 1), no_auto_bright=True, output_bps=16, use_camera_wb=True)
+        with decoder_output(), rawpy.imread(str(source)) as raw:
+            check_px(raw.sizes.raw_width, raw.sizes.raw_height, source)
+            return np.asarray(raw.postprocess(**_RAW_OPTIONS), dtype=np.uint16)
     except rawpy.LibRawError as error:
-        raise ValueError(f"{source}: not a RAW file that LibRaw can read ({error})") from None
-    return Photo(np.asarray(linear, dtype=np.float64) / 65535, 16)
+        reason = b"".join(part for part in error.args if isinstance(part, bytes)).decode(errors="replace")
+        raise ValueError(f"{source}: not a RAW file that LibRaw can read ({one_line(reason or error)})") from None

@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from hw._files import regular_file
 from hw.program import Program
 
 __all__ = ["DeviceProfile", "load_profile", "parse_profile", "profile_names"]
@@ -170,8 +171,8 @@ def parse_profile(text: str, *, source: str = "profile") -> DeviceProfile:
         raise ValueError(f"{source} has no {missing[0]}: every profile needs one")
     try:
         return DeviceProfile(**table)
-    except ValueError as error:
-        raise ValueError(f"{source}: {error}") from None
+    except (ValueError, OverflowError) as error:  # whole numbers that no float reaches
+        raise ValueError(f"{source}: {_one_line(error)}") from None
 
 
 def profile_names() -> tuple[str, ...]:
@@ -198,7 +199,7 @@ def load_profile(name: str | Path) -> DeviceProfile:
         text = (resources.files("hw") / "profiles" / f"{text_name}.toml").read_text(encoding="utf-8")
         return parse_profile(text, source=text_name)
     try:
-        text = Path(name).read_text(encoding="utf-8-sig")  # Windows editors write a mark first
+        text = regular_file(name).read_text(encoding="utf-8-sig")  # Windows editors write a mark first
     except UnicodeDecodeError:
         raise ValueError(f"{text_name} is not UTF-8 text: a device profile is a TOML file") from None
     except (OSError, ValueError) as error:
@@ -241,4 +242,5 @@ def _time(time_ns: int) -> str:
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+    text = " ".join(str(error).split())
+    return text if len(text) <= 200 else f"{text[:197]}..."

@@ -179,12 +179,10 @@ def _add_export(commands: _Commands[argparse.ArgumentParser]) -> None:
 
 
 def _export(given: argparse.Namespace) -> None:
+    from motdiff.inputs import read_json
     from motdiff.weights import export_weights
 
-    try:
-        card = None if given.card is None else json.loads(given.card.read_text(encoding="utf-8-sig"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{given.card}: not a JSON file ({error})") from None
+    card = None if given.card is None else read_json(given.card)
     if not isinstance(card, dict | None):
         raise ValueError(f"{given.card}: must hold a JSON object")
     size = export_weights(given.run / "checkpoint", given.out, offset=given.offset, card=card)
@@ -203,22 +201,18 @@ def _add_sample(commands: _Commands[argparse.ArgumentParser]) -> None:
 
 
 def _sample(given: argparse.Namespace) -> None:
-    import cv2
-    import numpy as np
     import torch
 
+    from motdiff.decoding import decode
     from motdiff.estimators.judge import noise_sigma
     from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
     from motdiff.evaluation.pictures import drawn_sheet
     from motdiff.outputs import write_bytes
+    from motdiff.photo_files import photo_bytes
     from motdiff.simulate import to_linear
     from motdiff.weights import DEFAULT_WEIGHTS, load_network
 
-    data = given.photo.read_bytes()
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    if image is None:
-        wrong = "is no photo that can be read" if data else "is empty (0 bytes)"
-        raise ValueError(f"{given.photo}: {wrong}, a PNG, JPEG or TIFF is needed")
+    image, _ = decode(photo_bytes(given.photo), given.photo, colour=True)
     if min(image.shape[:2]) < 256:
         raise ValueError(f"{given.photo}: must have at least 256 x 256 px, has {image.shape[1]} x {image.shape[0]}")
     if given.count < 1:

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from motdiff.inputs import one_line, read_json
 from motdiff.outputs import write_text
 from motdiff.trajectory import Direction, Trajectory
 
@@ -75,15 +76,12 @@ def read_motion(path: Path | str) -> StoredMotion:
     OSError
         If the file cannot be read.
     """
-    try:
-        document = json.loads(Path(path).read_text(encoding="utf-8-sig"))  # Windows editors write a mark first
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: not a JSON file ({error})") from None
+    document = read_json(path)
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         found = document.get("schema") if isinstance(document, dict) else type(document).__name__
-        raise ValueError(f'{path}: wanted schema "{SCHEMA}", found {found!r}')
+        raise ValueError(f'{path}: wanted schema "{SCHEMA}", found {one_line(repr(found))}')
     if document.get("units", "px") != "px":
-        raise ValueError(f'{path}: wanted units "px", found {document["units"]!r}')
+        raise ValueError(f'{path}: wanted units "px", found {one_line(repr(document["units"]))}')
     direction = cast(Direction, document.get("direction", "unknown"))
     try:
         main = _trajectory(document, direction)
@@ -94,7 +92,7 @@ def read_motion(path: Path | str) -> StoredMotion:
         return StoredMotion(main, _weight(document), alternatives, source)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         reason = f"field {error} is missing" if isinstance(error, KeyError) else str(error)
-        raise ValueError(f"{path}: {reason}") from None
+        raise ValueError(f"{path}: {one_line(reason)}") from None
 
 
 def _samples(trajectory: Trajectory) -> dict[str, list[float]]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motdiff.gyro import GyroTrace
+from motdiff.inputs import one_line, read_text
 
 __all__ = ["RateUnit", "TimeUnit", "read_gyro"]
 
@@ -74,10 +75,7 @@ def read_gyro(path: Path | str, *, time_unit: TimeUnit | None = None, rate_unit:
     for name, unit, known in (("time_unit", time_unit, _SECONDS), ("rate_unit", rate_unit, _RADIANS)):
         if unit is not None and unit not in known:
             raise ValueError(f"{name}: must be one of {', '.join(known)}, got {unit!r}")
-    try:
-        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: not a text file; wanted a table of timestamps and angular rates") from None
+    lines = read_text(path).splitlines()
     rows = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and line.strip()[0] != "#"]
     if not rows:
         raise ValueError(f"{path}: no rows; wanted a timestamp and three angular rates (rad/s) in each")
@@ -88,7 +86,9 @@ def read_gyro(path: Path | str, *, time_unit: TimeUnit | None = None, rate_unit:
         header = _names(rows.pop(0)[1])
         found = _columns(header)
         if found is None:
-            raise ValueError(f"{path}: missing column {', '.join(_missing(header))}; the header is {', '.join(header)}")
+            raise ValueError(
+                f"{path}: missing column {', '.join(_missing(header))}; the header is {one_line(', '.join(header))}"
+            )
         columns = found
     values = _numbers(rows, columns.index, path)
     if len(values) < 2:

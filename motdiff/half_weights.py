@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 from safetensors import SafetensorError, safe_open
 
+from motdiff.inputs import one_line, regular_file
+
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
@@ -23,10 +25,10 @@ def read_header(path: Path | str) -> dict[str, str]:
         If it cannot be read.
     """
     try:
-        with safe_open(str(path), framework="np") as file:
+        with safe_open(str(regular_file(path)), framework="np") as file:
             return dict(file.metadata() or {})
     except (SafetensorError, OSError) as error:
-        raise ValueError(f"{path}: cannot be read as weights: {error}") from error
+        raise ValueError(f"{path}: cannot be read as weights: {one_line(error)}") from error
 
 
 def halved(state: Mapping[str, Tensor], *, source: Path | str) -> dict[str, Tensor]:

@@ -131,7 +131,7 @@ def calibrate(
     folder = output or image.with_name(f"{image.stem}_motion")
     claim_folder(folder, CALIBRATION_FILES, force=force)
     photo = read_photo(image, gamma=gamma)
-    sharp_photo = None if sharp is None else read_image(sharp, gamma=gamma)
+    sharp_photo = None if sharp is None else read_image(sharp, gamma=gamma, variable="x")
     recording = None if gyro is None else read_gyro(gyro, rate_unit=cast(Any, gyro_unit))
     started = time.perf_counter()
     try:

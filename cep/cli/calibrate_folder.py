@@ -70,7 +70,7 @@ def calibrate_folder(
     photos = photos_in(folder, but=sharp)
     sharps = {} if sharp is None else sharp_of(photos, sharp)
     if sharp is not None and not sharp.is_dir():
-        read_image(sharp, gamma=gamma)  # what is wrong with it is wrong with every photo
+        read_image(sharp, gamma=gamma, variable="x")  # what is wrong with it is wrong with every photo
     named = folder if folder.name not in ("", "..") else folder.resolve()  # as "." has no name of its own
     target = output or named.with_name(f"{named.name}_motion")
     claim_folder(target, [_SUMMARY], force=force)

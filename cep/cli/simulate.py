@@ -74,7 +74,7 @@ def simulate(
     stem = f"{target.stem}_psf"
     names = [target.name, *(stem + suffix for suffix in PSF_SUFFIXES)]
     claim([target.with_name(name) for name in names], force=force, inputs=[sharp])
-    photo = read_photo(sharp, gamma=gamma)
+    photo = read_photo(sharp, gamma=gamma, variable="x")
     with progress("exposing"):
         # the smallest odd frame: a larger one would only cut more off the photo
         tight = coded_psf(motion, shutter, size=motion.frame_size() | 1)

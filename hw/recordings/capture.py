@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hw._files import regular_file
 from hw.recordings.saleae import is_saleae, parse_saleae
 from hw.recordings.trace import Recording
 from hw.recordings.vcd import parse_vcd
@@ -20,7 +21,7 @@ def read_capture(path: str | Path) -> Recording:
         If the file cannot be read or is neither.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")  # Windows programs write a mark first
+        text = regular_file(path).read_text(encoding="utf-8-sig")  # Windows programs write a mark first
     except UnicodeDecodeError:
         raise ValueError(
             f"{path} is no text: save or export the capture as VCD (value change dump), or from Saleae Logic as CSV"

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motdiff.gyro_tables import read_gyro
+from motdiff.mat_files import levin_psf, read_mat
 from motdiff.simulate import add_noise, blur_symmetric, blur_valid, valid_window
 from motdiff.trajectory import Trajectory
 
@@ -204,8 +205,7 @@ def simulated(
 def levin(folder: Path | str) -> Iterator[Case]:
     """Read Levin's real camera shakes, one ``.mat`` file (``x`` sharp, ``y`` blurred, ``f`` kernel) each.
 
-    There ``y`` is ``x`` convolved with ``f`` turned by 180 degrees, then shifted by up to 4 px, so the true PSF is the
-    turned kernel.
+    The true PSF is ``f`` turned by 180 degrees, see :func:`motdiff.mat_files.levin_psf`.
 
     Parameters
     ----------
@@ -233,19 +233,18 @@ def levin_photo(path: Path) -> Case:
     Raises
     ------
     ValueError
-        If it is no ``.mat`` file, or lacks a variable.
+        If it is no ``.mat`` file, lacks a variable, or one is no table of finite numbers.
     """
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    try:
-        data = loadmat(path)
-    except (ValueError, TypeError, NotImplementedError, MatReadError) as error:
-        raise ValueError(f"{path}: cannot be read as a .mat file ({' '.join(str(error).split())})") from None
+    data = read_mat(path, "xyf")
     if missing := [name for name in "xyf" if name not in data]:
         raise ValueError(f"{path}: lacks the variable {missing[0]}; wanted x (sharp), y (blurred) and f (kernel)")
+    for name, table in data.items():
+        if table.ndim != 2 or table.dtype.kind not in "fiub" or not table.size or not np.isfinite(table).all():
+            raise ValueError(f"{path}: its variable {name} must be one table of finite numbers")
     sharp, blurred, kernel = (np.asarray(data[name], dtype=np.float64) for name in "xyf")
-    psf = np.rot90(kernel, 2)
+    if sharp.shape != blurred.shape or kernel.min() < 0 or not 0 < kernel.sum() < np.inf:
+        raise ValueError(f"{path}: x and y must have the same size, and f be non-negative and not all zero")
+    psf = levin_psf(kernel)
     return Case(path.stem, np.clip(blurred, 0, 1), psf / psf.sum(), sharp)
 
 

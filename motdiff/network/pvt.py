@@ -15,6 +15,8 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn import functional
 
+from motdiff.inputs import regular_file
+
 __all__ = ["VARIANTS", "PyramidVisionTransformer", "Variant", "load_backbone"]
 
 _HEADS = (1, 2, 5, 8)
@@ -201,7 +203,7 @@ def load_backbone(model: PyramidVisionTransformer, path: str | Path) -> None:
         If `path` is no safetensors file, lacks parameters, has others besides, or is of another variant's size.
     """
     try:
-        weights = load_file(path)
+        weights = load_file(regular_file(path))
     except SafetensorError as error:
         raise ValueError(f"path {path} is not a safetensors file ({error}); it must be timm's pvt_v2 weights") from None
     own = model.state_dict()

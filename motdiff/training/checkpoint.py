@@ -14,6 +14,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from motdiff.inputs import read_json
+
 __all__ = ["PART_BYTES", "Checkpoint", "read_checkpoint", "write_checkpoint"]
 
 PART_BYTES = 15 * 2**20
@@ -98,7 +100,7 @@ def read_checkpoint(folder: Path | str, *, device: str | torch.device = "cpu") -
     if not target.exists():
         return None
     try:
-        index = json.loads((target / _INDEX).read_text(encoding="utf-8"))
+        index = read_json(target / _INDEX)
         if index["schema"] != _SCHEMA:
             raise ValueError(f"its schema is {index['schema']!r}")
         tensors: dict[str, Tensor] = {}

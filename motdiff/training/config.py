@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from motdiff.inputs import one_line, read_toml
 from motdiff.network.config import NetworkConfig
 from motdiff.training.motion_bank import MotionMix
 from motdiff.training.simulation import Photography
@@ -199,10 +199,7 @@ def read_config(path: Path | str) -> TrainingConfig:
     ValueError
         If the file is not TOML, or a section, an entry, a type or a value is not known or wrong; the message names it.
     """
-    try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))  # Windows editors write a mark first
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: is not a TOML file: {error}") from error
+    content = read_toml(path)
     unknown = set(content) - set(_SECTIONS)
     if unknown:
         raise ValueError(f"{path}: unknown section [{min(unknown)}]; known are {', '.join(_SECTIONS)}")
@@ -210,8 +207,8 @@ def read_config(path: Path | str) -> TrainingConfig:
         raise ValueError(f"{path}: needs a section [data] with photos or prepared samples")
     try:
         return TrainingConfig(**{name: _section(name, values) for name, values in content.items()})
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    except (ValueError, OverflowError) as error:  # whole numbers that no float reaches
+        raise ValueError(f"{path}: {one_line(error)}") from error
 
 
 def _section(name: str, values: object) -> Any:

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from motdiff.inputs import regular_file
 from motdiff.outputs import write_bytes
 
 __all__ = ["PICTURES", "crops", "load_photos", "pack_photos", "split_photos"]
@@ -139,7 +140,7 @@ def _images(source: Path) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Yield (name, (H, W, 3) uint8 red green blue) in the order of the names."""
     if source.is_dir():
         for path in sorted(path for path in source.rglob("*") if path.suffix.lower() in PICTURES):
-            yield path.name, _decoded(path.read_bytes(), path)
+            yield path.name, _decoded(regular_file(path).read_bytes(), path)
     elif zipfile.is_zipfile(source):
         with zipfile.ZipFile(source) as pack:
             for name in sorted(pack.namelist()):

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from motdiff.inputs import regular_file
 from motdiff.outputs import new_file
 from motdiff.training.motion_bank import MAP_PX, MotionMix, build_bank
 from motdiff.training.samples import PHOTO_PX, Samples, simulate
@@ -102,7 +103,7 @@ def _read(file: Path) -> Samples:
 
 
 def _loaded(file: Path) -> Samples:
-    with np.load(file) as stored:
+    with np.load(regular_file(file)) as stored:
         count = len(stored["photos"])
         path = np.unpackbits(stored["x0"], axis=1).reshape(count, 1, MAP_PX, MAP_PX)
         dwell = np.zeros(path.shape, np.float16)

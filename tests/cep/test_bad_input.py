@@ -87,7 +87,7 @@ BROKEN = {
     _missing: "No such file",
     _empty: "empty",
     _truncated: "cut short",
-    _text: "not a PNG, JPEG or TIFF",
+    _text: "not a PNG, JPEG, TIFF or WebP",
     _one_pixel: "1 x 1 px is too small",
     _folder: "folder",
 }

@@ -142,7 +142,7 @@ def test_a_bad_field_is_one_line_that_names_it(tmp_path, changes, message):
 @pytest.mark.parametrize("content", [b"photos = = 3", b"\xff\xfe"])
 def test_a_file_that_is_no_protocol(tmp_path, content):
     (tmp_path / "mine.toml").write_bytes(content)
-    with pytest.raises(ValueError, match=r"mine\.toml: is not TOML"):
+    with pytest.raises(ValueError, match=r"mine\.toml: not a TOML file"):
         coded_protocol(str(tmp_path / "mine.toml"))
 
 

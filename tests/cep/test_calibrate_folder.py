@@ -286,7 +286,7 @@ def broken_sharp():
     ("options", "prepared", "message"),
     [
         ((), twins, "shots: a.JPG and a.png would be written to one folder a; rename one of them"),
-        ((), emptied, "shots: holds no photos (.png, .tif, .jpg or RAW files"),
+        ((), emptied, "shots: holds no photos (.png, .tif, .jpg, .webp or RAW files"),
         ((), taken, "shots_motion/b/trajectory.json: exists already, use --force"),
         ((), broken_sharp, "sharp.png: not a PNG, JPEG or TIFF image"),
         (("--sharp", "nowhere.png"), None, "nowhere.png"),

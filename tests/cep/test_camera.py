@@ -119,6 +119,13 @@ def test_a_byte_order_mark_as_windows_editors_write_is_no_harm(tmp_path, name, t
         ("c.json", json.dumps({"bits": 8.5}), "bits: must be a whole number"),
         ("c.json", json.dumps({"photons_full_scale": "many"}), "photons_full_scale: must be a number"),
         ("c.json", '{"read_noise_e": NaN}', "read_noise_e: must be 0 or more"),
+        ("c.json", f'{{"read_noise_e": {"9" * 5000}}}', "not a JSON file"),
+        ("c.json", f'{{"read_noise_e": {"9" * 400}}}', "read_noise_e: must be a number below"),
+        ("c.json", "[" * 100_000, "not a JSON file"),
+        ("c.json", f'{{"response": "{"x" * 100_000}"}}', "response: must be"),
+        ("c.toml", f"bits = {'9' * 5000}", "not a TOML file"),
+        ("c.toml", f"read_noise_e = 0x{'f' * 5000}", "read_noise_e: must be a number below"),
+        ("c.toml", f"bits = {'[' * 5000}", "not a TOML file"),
     ],
 )
 def test_bad_file_says_one_line_with_its_name(tmp_path, name, text, said):
@@ -128,6 +135,7 @@ def test_bad_file_says_one_line_with_its_name(tmp_path, name, text, said):
         Camera.from_file(path)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 600
     assert str(path) in str(caught.value)
 
 

@@ -1,6 +1,7 @@
 """Code files, PSF files and strict JSON: what is written is read back, what is wrong is named."""
 
 import json
+import struct
 
 import numpy as np
 import pytest
@@ -8,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.io import loadmat, savemat
+from scipy.signal import convolve2d
 
 from cep.code import ShutterCode
 from cep.files import StoredCode, json_text, plain, read_code, read_psf, write_code, write_psf
 from cep.images import write_image
+from motdiff.evaluation.sets import levin_photo
 
 
 @given(st.text("01", min_size=1, max_size=80).filter(lambda bits: "1" in bits), st.integers(1, 10**12))
@@ -35,6 +38,7 @@ def test_a_code_survives_its_file(tmp_path_factory, bits, chip_ns):
         ({"bits": ...}, '"bits" is missing'),
         ({"chip_ns": 0}, "chip_ns"),
         ({"chip_ns": 1.5}, "chip_ns"),
+        ({"chip_ns": 10**400}, "chip_ns"),
         ({"chip_ns": True}, "chip_ns"),
         ({"chip_ns": ...}, '"chip_ns" is missing'),
         ({"metrics": [1]}, "must be objects"),
@@ -78,17 +82,64 @@ def test_json_is_strict():
 
 
 @given(arrays(np.float64, (5, 5), elements=st.floats(0, 1, width=32)).filter(lambda psf: psf.sum() > 0.01))
-def test_a_psf_survives_npy_and_mat(tmp_path_factory, psf):
+def test_a_psf_survives_its_files(tmp_path_factory, psf):
     folder = tmp_path_factory.mktemp("psf")
     npy, mat, png = write_psf(folder, psf)
     single = psf.astype(np.float32)
     assert np.load(npy).dtype == np.float32
     np.testing.assert_array_equal(read_psf(npy), single)
-    np.testing.assert_array_equal(read_psf(mat), single)
-    assert loadmat(mat)["psf"].dtype == np.float64
+    np.testing.assert_array_equal(loadmat(mat)["psf"], single.astype(np.float64))
     # people's version: eight bits, largest value white, orientation kept
     shown = read_psf(png)
     np.testing.assert_allclose(shown / shown.max(), psf / psf.max(), rtol=0, atol=0.501 / 255)
+
+
+def test_a_psf_survives_mat(tmp_path):
+    psf = np.random.default_rng(0).random((5, 4))
+    _, mat, _ = write_psf(tmp_path, psf)
+    np.testing.assert_array_equal(read_psf(mat), psf.astype(np.float32))
+
+
+def test_the_kernel_of_levins_files_is_turned(tmp_path):
+    """There y is x convolved with f turned by 180 degrees; with what is read it is x convolved with the PSF."""
+    rng = np.random.default_rng(0)
+    sharp, kernel = rng.random((40, 40)), rng.random((5, 5))
+    blurred = convolve2d(sharp, kernel[::-1, ::-1] / kernel.sum(), mode="valid")
+    savemat(tmp_path / "im01_ker01.mat", {"x": sharp[2:-2, 2:-2], "y": blurred, "f": kernel})
+    psf = read_psf(tmp_path / "im01_ker01.mat")
+    np.testing.assert_allclose(convolve2d(sharp, psf / psf.sum(), mode="valid"), blurred)
+    np.testing.assert_allclose(psf / psf.sum(), levin_photo(tmp_path / "im01_ker01.mat").psf)
+    savemat(tmp_path / "both.mat", {"f": kernel, "psf": kernel})
+    np.testing.assert_array_equal(read_psf(tmp_path / "both.mat"), kernel)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        b"{'descr': '<f8', 'fortran_order': False, 'shape': (4, 4), ",
+        b"{'descr': '<f8', 'fortran_order': False, 'shape': (4, 4) \"\"\"",
+        b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999, 99999999), }",
+        b"{'descr': '<f8', 'fortran_order': False, 'shape': (9223372036854775808, 4), }",
+        b"{'descr': 7, 'fortran_order': False, 'shape': (4, 4), }",
+        b"{'descr': '<f8', 'fortran_order': False, 'shape': (4L, 4L), }",
+        b"[" * 60,
+    ],
+)
+def test_a_damaged_header_of_numpys_format(tmp_path, header):
+    path = tmp_path / "psf.npy"
+    padded = header.ljust(117) + b"\n"
+    path.write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(padded)) + padded + bytes(8 * 15))
+    with pytest.raises(ValueError, match=r"psf\.npy: not a NumPy array file") as caught:
+        read_psf(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_renamed_zip_is_no_numpy_array(tmp_path):
+    np.savez(tmp_path / "a.npz", psf=np.eye(3))
+    for content in ((tmp_path / "a.npz").read_bytes(), b"PK\3\4"):
+        (tmp_path / "psf.npy").write_bytes(content)
+        with pytest.raises(ValueError, match=r"psf\.npy: not a NumPy array file"):
+            read_psf(tmp_path / "psf.npy")
 
 
 def test_a_psf_from_somebody_elses_picture(tmp_path):
@@ -131,7 +182,7 @@ def test_broken_psf_files(tmp_path):
     with pytest.raises(ValueError, match="not a NumPy array file"):
         read_psf(tmp_path / "pickle.npy")
     savemat(tmp_path / "other.mat", {"kernel": np.eye(3)})
-    with pytest.raises(ValueError, match=r'wanted a variable "psf", found kernel'):
+    with pytest.raises(ValueError, match=r'wanted a variable "psf" or "f", found kernel'):
         read_psf(tmp_path / "other.mat")
 
 

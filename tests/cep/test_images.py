@@ -2,12 +2,15 @@
 
 import struct
 import sys
+import tracemalloc
 
 import cv2
 import numpy as np
 import pytest
+from fuzz_readers import dng
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.io import savemat
 
 from cep.images import parse_gamma, read_image, read_photo, write_image
 from motdiff.simulate import to_linear
@@ -131,7 +134,7 @@ def test_other_broken_files(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_image(tmp_path / "missing.png")
     (tmp_path / "text.png").write_text("hello, world")
-    with pytest.raises(ValueError, match=r"text\.png: not a PNG, JPEG or TIFF image"):
+    with pytest.raises(ValueError, match=r"text\.png: not a PNG, JPEG, TIFF or WebP image"):
         read_image(tmp_path / "text.png")
     cv2.imwrite(str(tmp_path / "dot.png"), np.zeros((1, 1), np.uint8))
     with pytest.raises(ValueError, match="1 x 1 px is too small"):
@@ -148,13 +151,105 @@ def test_float_tiff_with_impossible_light(tmp_path, value, message):
         read_image(tmp_path / "a.tif")
 
 
-def test_raw_needs_the_extra(tmp_path, monkeypatch):
+def test_raw_without_the_package_that_reads_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rawpy", None)
     (tmp_path / "a.dng").write_bytes(b"II*\0")
-    with pytest.raises(ValueError, match=r"pip install coded-exposure\[raw\]"):
+    with pytest.raises(ValueError, match=r"a\.dng: .*pip install rawpy$"):
         read_image(tmp_path / "a.dng")
     with pytest.raises(FileNotFoundError):
         read_image(tmp_path / "missing.dng")
+
+
+def test_raw_is_the_light_that_its_mosaic_recorded(tmp_path):
+    """A camera with the primaries of sRGB, for which daylight is white: grey stays grey, and a red is that red."""
+    pytest.importorskip("rawpy")
+    wanted = np.array([[[0.1, 0.1, 0.1], [0.5, 0.5, 0.5]], [[0.8, 0.3, 0.2], [0.05, 0.2, 0.6]]])
+    light = np.kron(wanted, np.ones((32, 32, 1)))
+    mosaic = light[:, :, 1].copy()
+    mosaic[::2, ::2], mosaic[1::2, 1::2] = light[::2, ::2, 0], light[1::2, 1::2, 2]
+    (tmp_path / "a.dng").write_bytes(dng(np.rint(65535 * mosaic).astype(np.uint16)))
+    photo = read_photo(tmp_path / "a.dng", gamma=2.2)
+    assert photo.bits == 16
+    assert photo.pixels.shape == (64, 64, 3)
+    middles = photo.pixels.reshape(2, 32, 2, 32, 3)[:, 8:-8, :, 8:-8].mean(axis=(1, 3))
+    np.testing.assert_allclose(middles, wanted, atol=2e-3)
+
+
+@pytest.mark.parametrize("share", [0, 0.001, 0.3, 0.99])
+def test_a_damaged_raw_file_is_refused_in_one_line_and_in_silence(tmp_path, capfd, share):
+    pytest.importorskip("rawpy")
+    data = dng(np.random.default_rng(0).integers(0, 65535, (64, 64)).astype(np.uint16))
+    path = tmp_path / "a.dng"
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(ValueError, match=r"a\.dng: not a RAW file that LibRaw can read \([A-Za-z/ ]+\)$"):
+        read_image(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_raw_files_are_limited_in_size_too(tmp_path, monkeypatch):
+    pytest.importorskip("rawpy")
+    (tmp_path / "a.dng").write_bytes(dng(np.full((64, 64), 9000, np.uint16)))
+    monkeypatch.setattr("motdiff.photo_files.MOST_PX", 64 * 63)
+    with pytest.raises(ValueError, match=r"a\.dng: 64 x 64 px"):
+        read_image(tmp_path / "a.dng")
+
+
+def test_webp(tmp_path, ramp):
+    display = np.rint(255 * ramp).astype(np.uint8)
+    opaque = np.dstack([display[:, :, ::-1], np.full(ramp.shape[:2], 255, np.uint8)])
+    lossless = [cv2.IMWRITE_WEBP_QUALITY, 101]
+    for name, image in {"a.webp": display[:, :, ::-1], "opaque.webp": opaque}.items():
+        cv2.imwrite(str(tmp_path / name), image, lossless)
+        photo = read_photo(tmp_path / name, gamma="linear")
+        np.testing.assert_allclose(photo.pixels, display / 255, atol=1e-12)
+        assert (photo.bits, photo.warnings) == (8, ())
+    opaque[3, 3, 3] = 100
+    cv2.imwrite(str(tmp_path / "glass.webp"), opaque, lossless)
+    assert "transparency" in read_photo(tmp_path / "glass.webp").warnings[0]
+
+
+def test_a_photo_in_a_mat_file_is_linear_light(tmp_path, ramp):
+    grey = ramp[:, :, 0]
+    savemat(tmp_path / "a.mat", {"x": ramp, "y": grey, "f": np.ones((3, 3)), "z": (255 * grey).astype(np.uint8)})
+    photo = read_photo(tmp_path / "a.mat", gamma="srgb")
+    np.testing.assert_array_equal(photo.pixels, grey)
+    assert len(photo.warnings) == 1
+    assert '"y" was taken as linear light' in photo.warnings[0]
+    np.testing.assert_array_equal(read_image(tmp_path / "a.mat", variable="x"), ramp)
+    np.testing.assert_allclose(read_image(tmp_path / "a.mat", variable="z"), np.floor(255 * grey) / 255)
+    with pytest.raises(ValueError, match="3 x 3 px is too small"):
+        read_image(tmp_path / "a.mat", variable="f")
+
+
+@pytest.mark.parametrize(
+    ("photo", "message"),
+    [
+        (np.full((20, 20), np.nan), "NaN"),
+        (np.full((20, 20), 200.0), "scale them to 0..1"),
+        (np.zeros((20, 20, 4)), "wanted \\(H, W\\)"),
+        (np.zeros((20, 20), complex), "complex128 samples"),
+        (np.zeros((0, 20)), "wanted \\(H, W\\)"),
+        (np.zeros((20, 20), np.int32), "int32 samples"),
+    ],
+)
+def test_mat_files_that_hold_no_photo(tmp_path, photo, message):
+    savemat(tmp_path / "a.mat", {"y": photo})
+    with pytest.raises(ValueError, match=message) as caught:
+        read_image(tmp_path / "a.mat")
+    assert str(tmp_path / "a.mat") in str(caught.value)
+
+
+def test_reading_floats_takes_little_more_memory_than_they_do(tmp_path):
+    """The file's samples, half as large, are in memory as well; three whole copies were."""
+    image = np.random.default_rng(0).random((900, 1200, 3)).astype(np.float32)
+    cv2.imwrite(str(tmp_path / "a.tif"), image, [cv2.IMWRITE_TIFF_COMPRESSION, 1])
+    tracemalloc.start()
+    try:
+        pixels = read_image(tmp_path / "a.tif")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 2.1 * pixels.nbytes
 
 
 def test_writing_refuses_what_it_cannot_do_and_leaves_nothing(tmp_path):

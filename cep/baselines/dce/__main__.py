@@ -71,8 +71,9 @@ def _train(given: argparse.Namespace) -> None:
 
 def _export(given: argparse.Namespace) -> None:
     from cep.baselines.dce.weights import export_weights
+    from motdiff.inputs import read_json
 
-    notes = None if given.notes is None else json.loads(given.notes.read_text(encoding="utf-8-sig"))
+    notes = None if given.notes is None else read_json(given.notes)
     if not isinstance(notes, dict | None):
         raise ValueError(f"{given.notes}: must hold a JSON object")
     size = export_weights(given.run / "checkpoint", given.out, notes=notes)

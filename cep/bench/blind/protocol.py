@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
+
+from motdiff.inputs import one_line, read_toml
 
 __all__ = ["NAMES", "Motions", "Protocol"]
 
@@ -146,14 +147,11 @@ class Protocol:
         path = _FOLDER / f"{name_or_path}.toml" if known else Path(name_or_path)
         if path.suffix != ".toml":
             raise ValueError(f"protocol: must be {' or '.join(NAMES)}, or a .toml file, got {str(name_or_path)!r}")
-        try:
-            table = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path}: not a TOML file ({error})") from None
+        table = read_toml(path)
         try:
             return _read(path.stem, table, quick=quick)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+        except (ValueError, OverflowError) as error:  # whole numbers that no float reaches
+            raise ValueError(f"{path}: {one_line(error)}") from None
 
 
 _ENTRIES = {item.name: item for item in fields(Protocol) if item.name not in ("name", "motion")}

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from cep.camera import Camera
 from cep.restore.methods import METHODS as RESTORATIONS
 from cep.search.problem import OBJECTIVES
+from motdiff.inputs import one_line, read_toml
 
 __all__ = ["PROTOCOLS", "CodedProtocol", "coded_protocol"]
 
@@ -163,24 +163,23 @@ def coded_protocol(name: str) -> CodedProtocol:
     """
     if name.endswith(".toml"):
         path = Path(name)
-        if not path.is_file():
+        if not path.exists():
             raise ValueError(f"{name}: no such file; built-in protocols are {', '.join(PROTOCOLS)}")
     elif name in PROTOCOLS:
         path = Path(__file__).parent / f"{name}.toml"
     else:
         raise ValueError(f"protocol: must be one of {', '.join(PROTOCOLS)} or a .toml file, got {name[:40]!r}")
-    try:
-        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{name}: is not TOML ({' '.join(str(error).split())})") from None
+    table = read_toml(path)
     known = {field.name for field in fields(CodedProtocol)}
     for what, names in (("unknown", set(table) - known), ("missing", known - set(table))):
         if names:
-            raise ValueError(f"{name}: field {min(names)!r} is {what}; the fields are {', '.join(sorted(known))}")
+            raise ValueError(
+                f"{name}: field {one_line(repr(min(names)))} is {what}; the fields are {', '.join(sorted(known))}"
+            )
     try:
         return CodedProtocol(**table)
     except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
+        raise ValueError(f"{name}: {one_line(error)}") from None
 
 
 def _are(values: object, *kinds: type) -> bool:

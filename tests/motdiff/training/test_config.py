@@ -164,9 +164,9 @@ def test_one_line_names_what_is_wrong_with_the_data(tmp_path, data, said):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"[data\n", "is not a TOML file"),
-        (b"[data]\nphotos = 'p'\nphotos = 'q'\n", "is not a TOML file"),
-        (b"[data]\nphotos = '\xff'\n", "is not a TOML file"),
+        (b"[data\n", "not a TOML file"),
+        (b"[data]\nphotos = 'p'\nphotos = 'q'\n", "not a TOML file"),
+        (b"[data]\nphotos = '\xff'\n", "not a TOML file"),
         (b"", "needs a section [data]"),
         (b"steps = 3\n", "unknown section [steps]"),
         (b"data = 3\n", "data: must be a section"),

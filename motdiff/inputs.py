@@ -1,0 +1,115 @@
+"""Input files: regular files only, as text, JSON or TOML; what is wrong with one is said in one short line."""
+
+from __future__ import annotations
+
+import json
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+__all__ = ["one_line", "read_json", "read_text", "read_toml", "regular_file"]
+
+_LONGEST = 400
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def regular_file(path: Path | str) -> Path:
+    """Check that an input is a regular file: reading a pipe may block for ever, reading a device may never end.
+
+    Every reader of a file that a user names begins with this.
+
+    Parameters
+    ----------
+    path : path of the file
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    ValueError
+        If it is a folder, a pipe (``/dev/stdin`` and the shell's ``<(...)`` are pipes), a socket or a device.
+    OSError
+        If there is no such file, or its folder cannot be entered.
+    """
+    source = Path(path)
+    mode = source.stat().st_mode
+    if not stat.S_ISREG(mode):
+        kind = next((name for test, name in _KINDS if test(mode)), "not a regular file")
+        raise ValueError(f"{source}: is {kind}, a regular file is needed")
+    return source
+
+
+def read_text(path: Path | str) -> str:
+    """Read a text file, UTF-8 with or without the mark that Windows editors write first.
+
+    Raises
+    ------
+    ValueError
+        If it is no regular file or not UTF-8.
+    OSError
+        If it cannot be read.
+    """
+    try:
+        return regular_file(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: not a text file in UTF-8 ({one_line(error)})") from None
+
+
+def read_json(path: Path | str) -> Any:
+    """Read a JSON file.
+
+    Raises
+    ------
+    ValueError
+        If it is no regular file or not JSON, holds a number of thousands of digits, or is nested too deeply.
+    OSError
+        If it cannot be read.
+    """
+    data = regular_file(path).read_bytes()
+    try:
+        return json.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: not a JSON file ({one_line(error)})") from None
+
+
+def read_toml(path: Path | str) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises
+    ------
+    ValueError
+        If it is no regular file or not TOML, holds a number of thousands of digits, or is nested too deeply.
+    OSError
+        If it cannot be read.
+    """
+    data = regular_file(path).read_bytes()
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: not a TOML file ({one_line(error)})") from None
+
+
+def one_line(text: object) -> str:
+    r"""Shorten a message to one printable line: a damaged file may put a megabyte, or a terminal's commands, into it.
+
+    Parameters
+    ----------
+    text : object, as an exception
+
+    Examples
+    --------
+    >>> one_line("line one\nline two \x1b[2J")
+    'line one line two \\x1b[2J'
+    """
+    words = " ".join(str(text)[: 4 * _LONGEST].split())
+    line = "".join(mark if mark.isprintable() else repr(mark)[1:-1] for mark in words)
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 3]}..."

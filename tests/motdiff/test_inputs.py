@@ -1,0 +1,91 @@
+"""Input files: what is no regular file is refused at once, and what is wrong with one takes one short line."""
+
+import json
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from motdiff.inputs import one_line, read_json, read_text, read_toml, regular_file
+
+
+def test_regular_files_and_links_to_them_are_taken(tmp_path):
+    file, link = tmp_path / "a.json", tmp_path / "link.json"
+    file.write_text("{}")
+    link.symlink_to(file)
+    assert regular_file(str(file)) == file
+    assert read_json(link) == {}
+    with pytest.raises(FileNotFoundError, match="none"):
+        regular_file(tmp_path / "none.json")
+
+
+def test_what_is_no_regular_file_is_refused_without_being_opened(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(tmp_path / "socket"))
+        cases = {tmp_path: "folder", tmp_path / "pipe": "pipe", tmp_path / "socket": "socket", "/dev/zero": "device"}
+        for path, kind in cases.items():
+            for read in (regular_file, read_text, read_json, read_toml):
+                with pytest.raises(ValueError, match=f"is a {kind}, a regular file is needed") as caught:
+                    read(path)
+                assert str(path) in str(caught.value)
+
+
+def test_standard_input_and_process_substitution_are_pipes():
+    reading, writing = os.pipe()
+    try:
+        with pytest.raises(ValueError, match="is a pipe"):
+            regular_file(f"/dev/fd/{reading}")
+    finally:
+        os.close(reading)
+        os.close(writing)
+
+
+def test_the_mark_of_windows_editors_is_no_harm(tmp_path):
+    for name, text in (("a.json", '{"a": 1}'), ("a.toml", "a = 1")):
+        (tmp_path / name).write_text(text, encoding="utf-8-sig")
+    assert read_json(tmp_path / "a.json") == read_toml(tmp_path / "a.toml") == {"a": 1}
+    assert read_text(tmp_path / "a.toml") == "a = 1"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff\xfe\x00",
+        b"[" * 100_000,
+        b"9" * 5000,
+        b'{"a": ' * 100_000,
+        b"\x00" * 9,
+        b'"\x1b[2J',
+        b"{" + b"x" * 99,
+    ],
+    ids=lambda content: repr(content[:6]),
+)
+@pytest.mark.parametrize("read", [read_json, read_toml])
+def test_damage_takes_one_short_printable_line(tmp_path, read, content):
+    if read is read_toml:
+        content = b"a = " + content
+    path = tmp_path / "file"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"not a (JSON|TOML) file \(") as caught:
+        read(path)
+    line = str(caught.value)
+    assert line.startswith(str(path))
+    assert line.isprintable()
+    assert len(line) < 600
+
+
+def test_a_binary_file_is_no_text(tmp_path):
+    (tmp_path / "a").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="a: not a text file"):
+        read_text(tmp_path / "a")
+
+
+def test_messages_are_cut_and_cannot_command_a_terminal():
+    assert one_line(ValueError("short")) == "short"
+    assert one_line(json.dumps("é")) == '"\\u00e9"'
+    for hostile in ("x" * 10**6, "\x1b" * 10**6, "a\nb" * 10**5, "\udcff\x07", Path("\x9b31m")):
+        assert one_line(hostile).isprintable()
+        assert len(one_line(hostile)) <= 400
