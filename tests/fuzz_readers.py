@@ -119,7 +119,7 @@ def _training_config(path):
 
 
 def _gyro(path):
-    from motdiff.gyro import read_gyro
+    from motdiff.gyro_tables import read_gyro
 
     return read_gyro(path)
 
@@ -130,10 +130,10 @@ def _gyro_seeds():
     return ["\n".join(["t_ns,wx,wy,wz", *rows]).encode(), "\n".join(["# phone", *plain]).encode()]
 
 
-def _vcd(path):
-    from hw.recordings.capture import read_vcd
+def _capture(path):
+    from hw.recordings.capture import read_capture
 
-    return read_vcd(path)
+    return read_capture(path)
 
 
 def _vcd_seeds():
@@ -143,6 +143,13 @@ def _vcd_seeds():
         "$var wire 3 # bus $end\n$upscope $end\n$enddefinitions $end\n#0\n$dumpvars\n0!\nb000 #\n$end\n"
     )
     return [(head + changes).encode()]
+
+
+def _saleae_seeds():
+    rows = [(-0.000_4, 0), *((k * 0.000_2, k % 2) for k in range(1, 40))]
+    seconds = "".join(f"{at:.9f},{level}\n" for at, level in rows)
+    iso = "".join(f"2026-03-01T12:00:00.{k:03d}200000+00:00,{k % 2}\n" for k in range(40))
+    return [f"Time [s],Channel 0\n{seconds}".encode(), f"Time,Channel 0\n{iso}".encode()]
 
 
 def _device(path):
@@ -310,7 +317,8 @@ READERS = {
     "blind protocol": Reader(".toml", _file("cep", "bench", "blind", "ours.toml"), _blind_protocol, text=True),
     "training config": Reader(".toml", _file("motdiff", "configs", "gpu.toml"), _training_config, text=True),
     "gyro": Reader(".txt", _gyro_seeds, _gyro, text=True),
-    "vcd": Reader(".vcd", _vcd_seeds, _vcd, text=True),
+    "vcd": Reader(".vcd", _vcd_seeds, _capture, text=True),
+    "saleae": Reader(".csv", _saleae_seeds, _capture, text=True),
     "device": Reader(".toml", _file("hw", "profiles", "pulse-pal.toml"), _device, text=True),
     "png": Reader(".png", _png_seeds, _photo, mend=_png_mended),
     "tiff": Reader(".tif", _tiff_seeds, _photo),
