@@ -26,12 +26,14 @@ from _inputs import photos as photos_of
 from cep.calibrate import METHODS, make_estimator
 from cep.images import read_image, write_image
 from cep.restore import restore
+from motdiff.crops import CROP_PX
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.evaluation.sets import levin as levin_cases
 from motdiff.gyro import GyroTrace
 from motdiff.gyro_tables import read_gyro
 from motdiff.metrics import mnc, mnc_subpixel, psnr_up_to_shift
 from motdiff.motions import boracchi_foi, random_gyro_motion
+from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import blur_valid, valid_window
 
 PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
@@ -74,7 +76,7 @@ def wall_times(
     folder: Path | None, trace_file: Path | None, count: int, sigma: float, seed: int, estimator: Estimator
 ) -> None:
     """Wall time of each estimate, after loading, of photos of 256 x 256 px; the first is not counted."""
-    side = 256 + 64  # the kernel's frame is lost at the borders
+    side = CROP_PX + PSF_PX  # the kernel's frame is lost at the borders
     scenes = [scene[:side, :side] for scene in sharp_photos(folder) if min(scene.shape[:2]) >= side]
     took = []
     for kind, photo, _ in shaken(scenes, trace_of(trace_file, seed), count + 1, sigma, seed):
@@ -99,7 +101,7 @@ def simulated(
     rows: dict[str, list[list[float]]] = {}
     for i, (kind, photo, psf) in enumerate(shaken(sharp_photos(folder), trace, count, sigma, seed)):
         estimate, seconds = estimated(estimator, photo)
-        path_mnc = mnc_subpixel(estimate.trajectories[0].psf(max(64, estimate.trajectories[0].frame_size())), psf)
+        path_mnc = mnc_subpixel(estimate.trajectories[0].psf(estimate.trajectories[0].frame_size(PSF_PX)), psf)
         rows.setdefault(kind, []).append(
             [mnc(estimate.psf, psf), mnc_subpixel(estimate.psf, psf), path_mnc, estimate.confidence, seconds]
         )
@@ -139,7 +141,7 @@ def shaken(
                 )
             else:
                 motion = boracchi_foi(rng)
-            if motion.frame_size() <= 64:
+            if motion.frame_size() <= PSF_PX:
                 break
         psf = motion.psf(65)
         grey = sharp.mean(axis=2) if sharp.ndim == 3 else sharp

@@ -27,11 +27,11 @@ from cep.search.annealing.anneal import anneal
 from cep.search.problem import SearchProblem, open_range_of_duty
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
 from motdiff.motions import boracchi_foi
+from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
 SCENES = ("camera", "astronaut", "coffee", "chelsea", "rocket", "moon", "brick", "coins", "page", "clock")
 LIGHT = (100.0, 300.0, 1000.0, 3000.0, 10_000.0, 30_000.0, 100_000.0)
-PSF_SIZE = 64
 CROP_PX = 32
 READ_NOISE_E = Camera().read_noise_e
 SHARP_PX = 1.09  # image motion that leaves an exposure practically sharp (Tendero, Morel, Rouge 2013)
@@ -50,7 +50,7 @@ def snapshot_psf(path: Trajectory) -> np.ndarray:
         half = 0.5 * (low + high)
         moved = np.ptp(path.at(np.linspace(0.5 - half, 0.5 + half, 101)), axis=0).max()
         low, high = (half, high) if moved <= SHARP_PX else (low, half)
-    return path.slice_psfs((0.5 - low, 0.5 + low), PSF_SIZE)[0]
+    return path.slice_psfs((0.5 - low, 0.5 + low), PSF_PX)[0]
 
 
 def psnr(restored: np.ndarray, truth: np.ndarray, *, up_to_shift: bool) -> float:
@@ -93,15 +93,15 @@ def main() -> None:
         # apart, since a time-limited search draws as often as the machine allows
         rng, search_rng = np.random.default_rng([options.seed, index]).spawn(2)
         sharp, path = scene(SCENES[index % len(SCENES)]), boracchi_foi(rng)
-        truth = visible(sharp, PSF_SIZE)
-        open_psf = path.psf(PSF_SIZE)
+        truth = visible(sharp, PSF_PX)
+        open_psf = path.psf(PSF_PX)
         found = estimate(capture(sharp, open_psf, Camera(), rng=rng), path)
         problem = SearchProblem.along(
             found, chips=options.chips, objective=options.objective, direction="unknown", open_range=light_range
         )
         code: ShutterCode = anneal(problem, rng=search_rng, time_s=options.seconds).code
-        frame = max(PSF_SIZE, found.frame_size(), found.reversed().frame_size())  # a lost estimate can be large
-        true_psf, flash = coded_psf(path, code, PSF_SIZE), snapshot_psf(path)
+        frame = max(PSF_PX, found.frame_size(), found.reversed().frame_size())  # a lost estimate can be large
+        true_psf, flash = coded_psf(path, code, PSF_PX), snapshot_psf(path)
         ways = [coded_psf(p, code, frame) for p in (found, found.reversed())]
         if mnc_subpixel(ways[1], true_psf) > mnc_subpixel(ways[0], true_psf):
             ways.reverse()  # an estimate may run backwards; the first is now the right one

@@ -19,6 +19,7 @@ from cep.code import ShutterCode
 from cep.exposure import coded_psf
 from cep.restore import compare_psfs
 from motdiff.motions import boracchi_foi, quadratic, random_straight
+from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
 RASKAR_52 = ShutterCode("1010000111000001010000110011110111010111001001100111")
@@ -65,7 +66,7 @@ def main() -> None:
         code = RASKAR_52 if len(rows) % 2 else random_code(rng)
         path = MOTIONS[motion](rng)
         guess = jittered(path, options.jitter, rng) if options.jitter else path
-        if max(p.frame_size() for p in (path, guess, guess.reversed())) > 64:
+        if max(p.frame_size() for p in (path, guess, guess.reversed())) > PSF_PX:
             continue
         camera = Camera(photons_full_scale=1e6, read_noise_e=sigma * 1e6)
         photo = capture(scenes[int(rng.integers(len(scenes)))], coded_psf(path, code), camera, rng=rng)

@@ -23,6 +23,7 @@ from motdiff.gyro import GyroTrace, trajectory_from_gyro
 from motdiff.gyro_tables import read_gyro
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, random_gyro_motion
+from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import photograph
 
 MISREGISTRATION_PX = 1.5
@@ -88,7 +89,7 @@ def gyro_rows(count: int, seed: int) -> None:
                 step = round(fine_hz / rate_hz)
                 noisy = exact.rate_rad_s[::step] + noise_rad_s * rng.standard_normal((len(exact.t_s[::step]), 3))
                 estimate = GyroEstimator(GyroTrace(exact.t_s[::step], noisy), **window).estimate(np.zeros((8, 8)))
-                size = max(64, path.frame_size())
+                size = path.frame_size(PSF_PX)
                 scores.append(mnc_subpixel(estimate.psf, path.psf(size)))
             print(f"{rate_hz:4d} Hz, noise {noise_rad_s:.3f} rad/s {spread(scores)}  n={count}")
 

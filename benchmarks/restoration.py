@@ -26,6 +26,7 @@ from cep.exposure import coded_psf
 from cep.restore import METHODS
 from motdiff.crops import luminance
 from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift
+from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
 PROTOCOL = coded_protocol("ours")
@@ -33,7 +34,7 @@ CODES = (ShutterCode("1" * 52), published("raskar-52").code)
 LEVELS = (300.0, 1000.0, 10_000.0, 100_000.0)
 COMPARED = ("wiener", "tv", "l0", "pnp")
 TOLD_THE_NOISE = ("wiener", "pnp")
-PSF_PX, BORDER_PX, ALIKE = 64, 32, 0.9
+BORDER_PX, ALIKE = 32, 0.9
 
 
 def alike(path: Trajectory, rng: np.random.Generator) -> Trajectory:
@@ -52,7 +53,7 @@ def alike(path: Trajectory, rng: np.random.Generator) -> Trajectory:
     for _ in range(14):
         middle = (least + most) / 2
         found = bent(middle)
-        likeness = mnc_subpixel(found.psf(max(PSF_PX, found.frame_size())), path.psf(PSF_PX))
+        likeness = mnc_subpixel(found.psf(found.frame_size(PSF_PX)), path.psf(PSF_PX))
         least, most = (middle, most) if likeness > ALIKE else (least, middle)
     return bent(least)
 
@@ -75,7 +76,7 @@ def main() -> None:
             wrong = alike(motions[index], np.random.default_rng([9, number, index]))
             for which, code in enumerate(CODES):
                 psf = coded_psf(motions[index], code, PSF_PX)
-                other = coded_psf(wrong, code, max(PSF_PX, wrong.frame_size()))
+                other = coded_psf(wrong, code, wrong.frame_size(PSF_PX))
                 whose.append(number)
                 for level in LEVELS:
                     camera = PROTOCOL.camera(level)

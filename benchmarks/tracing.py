@@ -93,7 +93,7 @@ def dwell_table(motions: int, trace: GyroTrace, seed: int) -> None:
             path = trace_map(hr_map)
 
             def score(found: Trajectory, psf: np.ndarray = psf) -> float:
-                return mnc_subpixel(found.psf(max(FRAME, found.frame_size())), psf)
+                return mnc_subpixel(found.psf(found.frame_size(FRAME)), psf)
 
             bare = mnc_subpixel(hr_map.reshape(64, 4, 64, 4).mean(axis=(1, 3)), psf)
             fits = [fit_dwell(path, psf), fit_dwell(path, noisy), *map(trace_psf_to_trajectory, (psf, noisy))]

@@ -9,6 +9,7 @@ from cep.code import ShutterCode
 from cep.exposure import coded_psf
 from cep.response import ShutterResponse
 from hw.recordings.playback import Verification
+from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
 __all__ = ["achieved_code", "achieved_psf"]
@@ -33,7 +34,7 @@ def achieved_code(played: Verification, *, chip_ns: int) -> ShutterCode:
     return ShutterCode(played.achieved, max(1, round(chip_ns * (1 + played.scale_ppm * 1e-6))))
 
 
-def achieved_psf(trajectory: Trajectory, played: Verification, *, chip_ns: int, size: int = 64) -> FloatArray:
+def achieved_psf(trajectory: Trajectory, played: Verification, *, chip_ns: int, size: int = PSF_PX) -> FloatArray:
     """Blur of the code that was played, (size, size), light-true: it sums to the open part of the exposure asked for.
 
     The motion goes on by its own time: a shutter with a slow clock plays the same chips over more of it. Openings that

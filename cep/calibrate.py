@@ -15,6 +15,7 @@ from cep.plots import save, trajectory_figure
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.files import StoredMotion, write_motion
 from motdiff.gyro import GyroTrace
+from motdiff.psf_frame import PSF_PX
 
 __all__ = [
     "CALIBRATION_FILES",
@@ -205,7 +206,7 @@ def write_calibration(
     with new_folder(folder, CALIBRATION_FILES, force=force) as made:
         write_motion(made / "trajectory.json", stored)
         write_psf(made, estimate.psf)
-        if best.frame_size() <= 64:
+        if best.frame_size() <= PSF_PX:
             write_image(made / "map.png", best.hr_map(), gamma="linear")
         save(trajectory_figure(photo, best), made / "preview.png")
         names = sorted(item.name for item in made.iterdir())

@@ -16,6 +16,7 @@ from cep.code import ShutterCode
 from cep.playing import checked_edges, timeline
 from cep.response import ShutterResponse
 from motdiff import rasterise
+from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
 __all__ = ["OpenPath", "chip_basis", "chip_parts", "chip_psfs", "chip_rows", "coded_otf", "coded_psf", "open_path"]
@@ -177,7 +178,7 @@ def chip_rows(
     return rows
 
 
-def chip_psfs(trajectory: Trajectory, chips: int, size: int = 64) -> FloatArray:
+def chip_psfs(trajectory: Trajectory, chips: int, size: int = PSF_PX) -> FloatArray:
     """PSF of every chip, (n, size, size); each sums to 1/n. Raises ValueError if the path leaves the frame."""
     return trajectory.slice_psfs(checked_edges(None, chips), size)
 
@@ -208,7 +209,7 @@ def coded_otf(
 def coded_psf(
     trajectory: Trajectory,
     code: ShutterCode,
-    size: int = 64,
+    size: int = PSF_PX,
     *,
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,

@@ -119,10 +119,10 @@ def _add_prepare(commands: _Commands[argparse.ArgumentParser]) -> None:
 def _prepare(given: argparse.Namespace) -> None:
     import torch
 
+    from motdiff.network.condition import PHOTO_PX
     from motdiff.training.config import read_config
     from motdiff.training.photos import load_photos, split_photos
     from motdiff.training.prepared import prepare
-    from motdiff.training.samples import PHOTO_PX
 
     torch.set_num_threads(1)  # the arrays are small: more threads only wait for each other
     shards = _shards(given.shards)
@@ -207,18 +207,21 @@ def _sample(given: argparse.Namespace) -> None:
     from motdiff.estimators.judge import noise_sigma
     from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
     from motdiff.evaluation.pictures import drawn_sheet
+    from motdiff.network.condition import PHOTO_PX
     from motdiff.outputs import write_bytes
     from motdiff.photo_files import photo_bytes
     from motdiff.simulate import to_linear
     from motdiff.weights import DEFAULT_WEIGHTS, load_network
 
     image, _ = decode(photo_bytes(given.photo), given.photo, colour=True)
-    if min(image.shape[:2]) < 256:
-        raise ValueError(f"{given.photo}: must have at least 256 x 256 px, has {image.shape[1]} x {image.shape[0]}")
+    if min(image.shape[:2]) < PHOTO_PX:
+        raise ValueError(
+            f"{given.photo}: must have at least {PHOTO_PX} x {PHOTO_PX} px, has {image.shape[1]} x {image.shape[0]}"
+        )
     if given.count < 1:
         raise ValueError(f"--count: must be at least 1, got {given.count}")
-    top, left = ((n - 256) // 2 for n in image.shape[:2])
-    light = to_linear(image[top : top + 256, left : left + 256] / 255).mean(axis=2)[None]
+    top, left = ((n - PHOTO_PX) // 2 for n in image.shape[:2])
+    light = to_linear(image[top : top + PHOTO_PX, left : left + PHOTO_PX] / 255).mean(axis=2)[None]
     told = searched_quickly(light, sigma=noise_sigma(light[0]))
     generator = torch.Generator().manual_seed(given.seed)
     network = load_network(given.weights or DEFAULT_WEIGHTS)

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
 from motdiff.estimators.pmp.latent import Coupling
+from motdiff.psf_frame import PSF_PX, margins
 
 __all__ = [
-    "GRID_PX",
     "QUICK_STARTS",
     "QuickStart",
     "autocorrelation",
@@ -25,7 +25,6 @@ __all__ = [
     "stacked_maps",
 ]
 
-GRID_PX = 64
 _QUICK_COUPLING = Coupling(start=16.0, end=100.0, growth=2.0)
 _QUICK_FINE_WEIGHTS = (1e-3, 3e-4)  # fewer steps than the full searches have
 _BAND_SIGMA_CY_PX = 0.22
@@ -123,9 +122,7 @@ def quick_kernels(
             gradient_weight=start.gradient_weight,
         )
         kernel = estimate_kernels(photos, size=start.size, settings=settings)
-        before = GRID_PX // 2 - start.size // 2
-        after = GRID_PX - before - start.size
-        found.append(torch.nn.functional.pad(kernel, (before, after, before, after)))
+        found.append(torch.nn.functional.pad(kernel, 2 * margins(start.size)))
     return torch.stack(found, dim=1)
 
 
@@ -150,8 +147,8 @@ def spectral_maps(photos: Tensor) -> Tensor:
         If a side is shorter than 64 px.
     """
     height, width = photos.shape[-2:]
-    if min(height, width) < GRID_PX:
-        raise ValueError(f"photos: sides must be at least {GRID_PX} px, got {width} x {height}")
+    if min(height, width) < PSF_PX:
+        raise ValueError(f"photos: sides must be at least {PSF_PX} px, got {width} x {height}")
     window = torch.hann_window(height, periodic=False, device=photos.device, dtype=photos.dtype)[:, None]
     window = window * torch.hann_window(width, periodic=False, device=photos.device, dtype=photos.dtype)[None, :]
     mean = (photos * window).sum(dim=(-2, -1), keepdim=True) / window.sum()
@@ -169,16 +166,16 @@ def spectral_maps(photos: Tensor) -> Tensor:
 
 def autocorrelation(kernels: Tensor) -> Tensor:
     """Autocorrelations of kernels (..., 64, 64) at lags of -32..31 px, zero lag at index 32, 1 there."""
-    frame = (2 * GRID_PX, 2 * GRID_PX)
+    frame = (2 * PSF_PX, 2 * PSF_PX)
     lags = _lags(torch.fft.irfft2(torch.fft.rfft2(kernels, s=frame).abs().square(), s=frame))
-    return lags / lags[..., GRID_PX // 2, GRID_PX // 2][..., None, None].clamp(min=1e-12)
+    return lags / lags[..., PSF_PX // 2, PSF_PX // 2][..., None, None].clamp(min=1e-12)
 
 
 def _lags(correlation: Tensor) -> Tensor:
     """Lags -32..31 of a periodic correlation (..., H, W)."""
-    half = GRID_PX // 2
+    half = PSF_PX // 2
     rolled = correlation.roll((half, half), (-2, -1))
-    return rolled[..., :GRID_PX, :GRID_PX]
+    return rolled[..., :PSF_PX, :PSF_PX]
 
 
 def _scaled(lags: Tensor) -> Tensor:

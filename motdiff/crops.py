@@ -10,13 +10,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from motdiff.metrics import mnc_subpixel
 
-__all__ = ["CLIPPED_LEVEL", "blur_differs_warning", "clipped_mask", "luminance", "pick_crops", "uniformity"]
+__all__ = [
+    "CLIPPED_LEVEL",
+    "CROP_PX",
+    "best_crops",
+    "blur_differs_warning",
+    "clipped_mask",
+    "luminance",
+    "pick_crops",
+    "textured_luminance",
+    "uniformity",
+]
 
 FloatArray = NDArray[np.float64]
 
+CROP_PX = 256
+"""Side of the crops in which motion is searched, px."""
 CLIPPED_LEVEL = 0.98  # JPEG and demosaicing leave a clipped area a little below full scale
 _CLIPPED_SHARE = 0.02  # a crop with this share of clipped pixels is used only when there is nothing else
 _OVERLAP_SHARE = 0.25
+_WHOLE = 1.25  # a photo larger than a crop by up to this is taken whole
 
 
 def luminance(photo: ArrayLike) -> FloatArray:
@@ -39,6 +52,22 @@ def luminance(photo: ArrayLike) -> FloatArray:
     return image if image.ndim == 2 else image.mean(axis=2)
 
 
+def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:
+    """:func:`luminance` of a photo in which motion can be searched.
+
+    Raises
+    ------
+    ValueError
+        As :func:`luminance`, or if a side is shorter than ``least_px`` or all pixels are the same.
+    """
+    grey = luminance(photo)
+    if min(grey.shape) < least_px:
+        raise ValueError(f"photo: needs at least {least_px} x {least_px} px, got {grey.shape[1]} x {grey.shape[0]}")
+    if np.ptp(grey) == 0:
+        raise ValueError("photo: is constant; motion shows only where the scene has texture")
+    return grey
+
+
 def clipped_mask(photo: ArrayLike, *, level: float = CLIPPED_LEVEL) -> NDArray[np.bool_]:
     """Pixels (H, W) with a channel at or above ``level``.
 
@@ -51,7 +80,7 @@ def clipped_mask(photo: ArrayLike, *, level: float = CLIPPED_LEVEL) -> NDArray[n
     return np.asarray(high if high.ndim == 2 else high.any(axis=2))
 
 
-def pick_crops(photo: ArrayLike, *, size: int = 256, count: int = 4) -> list[tuple[int, int]]:
+def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list[tuple[int, int]]:
     """Choose crops that tell the most about the blur: edges in several directions, few clipped pixels, little overlap.
 
     A crop is worth the smaller eigenvalue of its structure tensor (the summed outer products of the gradient), so that
@@ -107,6 +136,15 @@ def pick_crops(photo: ArrayLike, *, size: int = 256, count: int = 4) -> list[tup
             if len(chosen) == count:
                 break
     return chosen
+
+
+def best_crops(grey: FloatArray, *, count: int) -> FloatArray:
+    """Crops (C, h, w) of a photo (H, W) in which its blur is searched: the whole of it, or :func:`pick_crops` of it."""
+    if max(grey.shape) <= _WHOLE * CROP_PX:
+        return grey[None]
+    size = min(CROP_PX, *grey.shape)
+    corners = pick_crops(grey, size=size, count=count)
+    return np.stack([grey[row : row + size, column : column + size] for row, column in corners])
 
 
 def uniformity(psfs: Sequence[ArrayLike]) -> float:

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from motdiff.psf_frame import moved
 from motdiff.trajectory import Trajectory
 
 __all__ = [
+    "laid_on",
     "mnc",
     "mnc_matrix",
     "mnc_subpixel",
@@ -102,6 +104,12 @@ def register_shift(psf_a: ArrayLike, psf_b: ArrayLike) -> tuple[float, float]:
         column - (b.shape[1] - 1) + b.shape[1] // 2 - a.shape[1] // 2,
         row - (b.shape[0] - 1) + b.shape[0] // 2 - a.shape[0] // 2,
     )
+
+
+def laid_on(truth: ArrayLike, psf: ArrayLike) -> FloatArray:
+    """Move ``psf`` onto ``truth`` by whole pixels, since a blind kernel lies anywhere; its frame grows by as much."""
+    right_px, down_px = (round(shift) for shift in register_shift(truth, psf))
+    return moved(psf, down_px=down_px, right_px=right_px)
 
 
 def path_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 200) -> float:

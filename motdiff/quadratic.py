@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
 from motdiff.metrics import mnc_subpixel
+from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
 __all__ = ["QuadraticPath", "most_alike_quadratic", "nearest_quadratic", "quadratic_of_psf"]
@@ -77,7 +78,7 @@ def nearest_quadratic(truth: Trajectory) -> QuadraticPath:
     return QuadraticPath(12 * a, 180 * b)  # the two shapes are orthogonal, of mean square 1/12 and 1/180
 
 
-def most_alike_quadratic(truth: Trajectory, *, size: int = 64) -> QuadraticPath:
+def most_alike_quadratic(truth: Trajectory, *, size: int = PSF_PX) -> QuadraticPath:
     """Quadratic path whose PSF is most alike to that of ``truth`` (sub-pixel MNC): the oracle of the parametric class.
 
     Climbed from 13 starts twice each, on PSFs blurred less and less: a local optimum, but at least as good as
@@ -96,7 +97,7 @@ def most_alike_quadratic(truth: Trajectory, *, size: int = 64) -> QuadraticPath:
 
     def alike(path: QuadraticPath) -> float:
         drawn = path.trajectory()
-        return mnc_subpixel(drawn.psf(max(size, drawn.frame_size())), psf)
+        return mnc_subpixel(drawn.psf(drawn.frame_size(size)), psf)
 
     best, score = nearest, alike(nearest)
     for start, blurs_px in itertools.product(_starts(nearest, target), (_BLURS_PX, _BLURS_PX[1:])):

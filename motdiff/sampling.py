@@ -10,6 +10,7 @@ from torch.nn import functional
 
 from motdiff.diffusion import Schedule, from_signal, samples, to_signal
 from motdiff.network import MotDiffNetwork
+from motdiff.psf_frame import MAP_PITCH
 
 __all__ = ["PathSamples", "psf_signals", "psfs_of_maps", "psfs_of_signals", "sample_paths"]
 
@@ -90,11 +91,11 @@ def psfs_of_maps(maps: Tensor) -> Tensor:
     over 0.99, with plain 4 x 4 means 0.92 to 0.97. An empty map becomes a point.
     """
     lead = maps.shape[:-2]
-    offsets = (torch.arange(8, device=maps.device, dtype=maps.dtype) - 3.5) / 4
+    offsets = (torch.arange(2 * MAP_PITCH, device=maps.device, dtype=maps.dtype) + 0.5) / MAP_PITCH - 1
     hat = 1 - offsets.abs()
     flat = maps.reshape(-1, 1, *maps.shape[-2:])
-    across = functional.conv2d(flat, hat[None, None, None, :], stride=(1, 4), padding=(0, 2))
-    psfs = functional.conv2d(across, hat[None, None, :, None], stride=(4, 1), padding=(2, 0))[:, 0]
+    across = functional.conv2d(flat, hat[None, None, None, :], stride=(1, MAP_PITCH), padding=(0, MAP_PITCH // 2))
+    psfs = functional.conv2d(across, hat[None, None, :, None], stride=(MAP_PITCH, 1), padding=(MAP_PITCH // 2, 0))[:, 0]
     point = torch.zeros_like(psfs)
     point[:, psfs.shape[1] // 2, psfs.shape[2] // 2] = 1
     total = psfs.sum(dim=(1, 2), keepdim=True)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motdiff import rasterise
+from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX, PSF_PX
 
 __all__ = ["Direction", "Segments", "Trajectory", "bilinear_otf", "pixel_aperture_otf"]
 
@@ -241,7 +242,7 @@ class Trajectory:
         shaped: ComplexArray = out.reshape(-1, *fx.shape)
         return shaped
 
-    def psf(self, size: int = 64) -> FloatArray:
+    def psf(self, size: int = PSF_PX) -> FloatArray:
         """PSF (size, size), summing to 1, zero displacement at index ``size // 2``.
 
         The path's measure seen through the bilinear hat of each pixel, integrated exactly.
@@ -254,17 +255,17 @@ class Trajectory:
         (whole,) = self.slice_psfs((0.0, 1.0), size)
         return np.asarray(whole, dtype=np.float64)
 
-    def slice_psfs(self, edges: Sequence[float] | FloatArray, size: int = 64) -> FloatArray:
+    def slice_psfs(self, edges: Sequence[float] | FloatArray, size: int = PSF_PX) -> FloatArray:
         """Light-true PSF of each time slice, (slices, size, size): each sums to its share of the exposure."""
         needed = self.frame_size()
         if size < needed:
             raise ValueError(f"size: the path needs a PSF frame of at least {needed} px, got {size}")
         return rasterise.slice_psfs(self.t, self.xy, _checked_edges(edges), size)
 
-    def frame_size(self) -> int:
-        """Smallest PSF frame, px, that holds the whole path (zero displacement at index ``size // 2``)."""
+    def frame_size(self, least_px: int = 1) -> int:
+        """Smallest PSF frame of at least ``least_px`` that holds the whole path, px."""
         low, high = np.floor(self.xy.min()), np.floor(self.xy.max()) + 1
-        return int(max(-2 * low, 2 * high + 1))
+        return int(max(least_px, -2 * low, 2 * high + 1))
 
     def hr_map(self) -> NDArray[np.uint8]:
         """Binary map (256, 256) of the path at a pitch of 1/4 px, one pixel wide and 8-connected.
@@ -277,10 +278,10 @@ class Trajectory:
             If the path leaves the 64-px field.
         """
         samples = int(np.ceil(8 * self.length_px)) + 2
-        index = np.rint(129.5 + 4 * self.arc_resampled(samples)).astype(np.intp)
-        if index.min() < 0 or index.max() > 255:
+        index = np.rint(MAP_CENTRE + MAP_PITCH * self.arc_resampled(samples)).astype(np.intp)
+        if index.min() < 0 or index.max() >= MAP_PX:
             raise ValueError(f"trajectory: leaves the 64-px field of the HR map (extent {self.extent_px:.1f} px)")
-        hr = np.zeros((256, 256), np.uint8)
+        hr = np.zeros((MAP_PX, MAP_PX), np.uint8)
         pixels = rasterise.thin_path(index)
         hr[pixels[:, 1], pixels[:, 0]] = 1
         return hr

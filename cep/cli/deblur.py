@@ -89,6 +89,7 @@ def deblur(
     from cep.restore import METHODS, restore
     from cep.restore.direction import test_directions
     from cep.restore.spectral import trimmed_psf
+    from motdiff.psf_frame import PSF_PX
 
     if method not in METHODS:
         raise ValueError(f"--method: must be one of {', '.join(METHODS)}, got {method!r}")
@@ -126,7 +127,7 @@ def deblur(
     started = time.perf_counter()
     with progress("restoring"):
         if motion is not None:
-            kernel = coded_psf(motion, shutter, size=max(64, motion.frame_size()))
+            kernel = coded_psf(motion, shutter, size=motion.frame_size(PSF_PX))
             direction = motion.direction
             if motion.direction == "unknown" and code is not None:
                 test = test_directions(photo.pixels, motion, shutter)

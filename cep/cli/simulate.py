@@ -63,6 +63,7 @@ def simulate(
     from cep.files import PSF_SUFFIXES, write_psf
     from cep.images import check_image_name, parse_gamma, read_photo, write_image
     from cep.outputs import claim, new_folder
+    from motdiff.psf_frame import PSF_PX
 
     parse_gamma(gamma)
     motion = load_motion(trajectory, linear).trajectory
@@ -79,7 +80,7 @@ def simulate(
         # the smallest odd frame: a larger one would only cut more off the photo
         tight = coded_psf(motion, shutter, size=motion.frame_size() | 1)
         taken = capture(photo.pixels, tight, noise, rng=np.random.default_rng(seed))
-        psf = coded_psf(motion, shutter, size=max(64, motion.frame_size()))
+        psf = coded_psf(motion, shutter, size=motion.frame_size(PSF_PX))
     with new_folder(target.parent, names, force=force) as made:
         write_image(made / target.name, taken, bits=16, gamma=gamma)
         write_psf(made, psf, stem=stem)

@@ -127,11 +127,12 @@ def _outputs(output: Path | None, *, with_psf: bool) -> list[Path]:
 def _write(output: Path, play: Verification, program: Program, motion: Any) -> None:
     from cep.achieved import achieved_code, achieved_psf
     from cep.files import StoredCode, write_code, write_psf
+    from motdiff.psf_frame import PSF_PX
 
     code = achieved_code(play, chip_ns=program.chip_ns)
     write_code(output, StoredCode(code, problem={"played": play.verdict}))
     if motion is not None:
-        size = max(64, 2 * motion.frame_size())  # a slow clock goes on beyond the motion that was asked for
+        size = max(PSF_PX, 2 * motion.frame_size())  # a slow clock goes on beyond the motion that was asked for
         psf = achieved_psf(motion, play, chip_ns=program.chip_ns, size=size)
         write_psf(output.parent, psf, stem=_psf_stem(output))
 

@@ -13,6 +13,7 @@ from cep.exposure import coded_psf
 from cep.plots import before_after, code_strips, mtf_figure, psf_figure, trajectory_figure
 from cep.report import Report, Section, Table, picture
 from motdiff.metrics import mnc_subpixel, path_distance_px
+from motdiff.psf_frame import PSF_PX
 
 __all__ = ["DEMO_PICTURES", "demo_report", "verdict"]
 
@@ -98,10 +99,10 @@ def _motion(chain: Chain) -> Section:
         f"{chain.scene.name}. The method {estimate.method} found a path of {motion.length_px:.1f} px, "
         f"{motion.extent_px:.1f} px wide, with confidence {estimate.confidence:.2f}.",
     ]
-    psfs = {"estimated": estimate.psf, "traced path": motion.psf(max(64, motion.frame_size()))}
+    psfs = {"estimated": estimate.psf, "traced path": motion.psf(motion.frame_size(PSF_PX))}
     if chain.scene.motion is not None:
         truth = chain.scene.motion
-        psfs["true"] = truth.psf(max(64, truth.frame_size()))
+        psfs["true"] = truth.psf(truth.frame_size(PSF_PX))
         paragraphs.append(
             f"The true motion is known here: the estimated PSF matches it with an MNC of "
             f"{mnc_subpixel(estimate.psf, psfs['true']):.3f} (1 is perfect), the path lies "
@@ -176,7 +177,7 @@ def _mtf(chain: Chain) -> Section:
     shown = ("this code", "open shutter", "best snapshot")
     codes = {row.name: row.code for row in chain.compared if row.name in shown}
     figure = mtf_figure(chain.motion, codes)
-    size = max(64, chain.motion.frame_size())
+    size = chain.motion.frame_size(PSF_PX)
     psfs = {"open shutter": chain.motion.psf(size), "this code": coded_psf(chain.motion, chain.code, size)}
     return Section(
         "MTF",

@@ -19,13 +19,14 @@ from cep.restore.noise import fit_spectrum
 from cep.restore.spectral import channels_first, trimmed_psf
 from cep.restore.wiener import wiener
 from motdiff.metrics import mnc_subpixel
+from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
 __all__ = ["DirectionResult", "compare_psfs", "test_directions"]
 
 FloatArray = NDArray[np.float64]
 _LARGEST_CROP_PX = 512
-_SAME_MNC = 0.9995
+_ONE_PSF_MNC = 0.9995  # both PSFs are computed, not estimated: small differences count
 _FEATURELESS = 1e-6
 # log odds = sum of weight * tanh(clue / scale), a logistic fit on 340 simulated photos; saturating, since an unusual
 # scene can make either clue large and wrong (benchmarks/direction.py)
@@ -65,7 +66,7 @@ def test_directions(  # a test of directions, not a test
     trajectory: Trajectory,
     code: ShutterCode,
     *,
-    size: int = 64,  # noqa: PT028
+    size: int = PSF_PX,  # noqa: PT028
 ) -> DirectionResult:
     """Tell whether a coded ``photo`` was taken along ``trajectory`` or along its reverse.
 
@@ -111,7 +112,7 @@ def compare_psfs(photo: ArrayLike, forward: ArrayLike, reverse: ArrayLike) -> Di
     residuals = (ringing[0], ringing[1])
     clues = (likelihoods[1] - likelihoods[0], (residuals[1] - residuals[0]) / (sum(residuals) or 1.0))
     log_odds = sum(w * np.tanh(c / scale) for w, c, scale in zip(_WEIGHTS, clues, _SCALES, strict=True))
-    if np.ptp(image) < _FEATURELESS or mnc_subpixel(*kernels) > _SAME_MNC or log_odds == 0:
+    if np.ptp(image) < _FEATURELESS or mnc_subpixel(*kernels) > _ONE_PSF_MNC or log_odds == 0:
         return DirectionResult("undecidable", 0.5, likelihoods, residuals, np.asarray(forward, dtype=np.float64))
     confidence = float(1 / (1 + np.exp(-abs(log_odds))))
     direction: Literal["forward", "reverse"] = "forward" if log_odds > 0 else "reverse"

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from motdiff.psf_frame import in_frame
+
 __all__ = ["channels_first", "channels_last", "gradient_power", "otf_on_grid", "power_law", "trimmed_psf"]
 
 FloatArray = NDArray[np.float64]
@@ -54,9 +56,7 @@ def trimmed_psf(psf: ArrayLike) -> FloatArray:
     rows, columns = np.nonzero(kernel)
     centre = (kernel.shape[0] // 2, kernel.shape[1] // 2)
     reach = int(max(np.abs(rows - centre[0]).max(), np.abs(columns - centre[1]).max()))
-    odd = np.zeros((2 * reach + 1, 2 * reach + 1))
-    odd[rows - centre[0] + reach, columns - centre[1] + reach] = kernel[rows, columns]
-    return odd
+    return in_frame(kernel, 2 * reach + 1)
 
 
 def otf_on_grid(psf: FloatArray, shape: tuple[int, int]) -> ComplexArray:

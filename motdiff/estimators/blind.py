@@ -10,24 +10,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from motdiff.crops import luminance, pick_crops
+from motdiff.crops import CROP_PX, best_crops, textured_luminance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.uneven import uneven_blur_warning
 from motdiff.metrics import mnc_subpixel
 from motdiff.parallel import one_thread_a_call
+from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.tracing import is_tangled, simplest_trajectory
-from motdiff.trajectory import Trajectory
 
 __all__ = ["Found", "KernelSearch", "estimate_blind", "without_faint_parts"]
 
 FloatArray = NDArray[np.float64]
 
-_CROP_PX = 256
 _LEAST_HALVED_PX = 192
-_FRAME_PX = 64
 _LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halved and tried again
 _LEVELS = 3
-_FAINT = 0.05
+_FAINT = 0.05  # share of the peak: noise of a fitted kernel, docs/decisions/tracing.md
 _SPECK_SHARE = 0.1
 _SAME_MNC = 0.8
 _MOST_MOTIONS = 3
@@ -112,12 +110,7 @@ def estimate_blind(photo: ArrayLike, search: KernelSearch, *, method: str, most_
     ----------
     Hu and Yang, "Good regions to deblur", ECCV 2012 (crops).
     """
-    grey = luminance(photo)
-    least = search.smallest_px
-    if min(grey.shape) < least:
-        raise ValueError(f"photo: needs at least {least} x {least} px, got {grey.shape[1]} x {grey.shape[0]}")
-    if np.ptp(grey) == 0:
-        raise ValueError("photo: is constant; motion shows only where the scene has texture")
+    grey = textured_luminance(photo, least_px=search.smallest_px)
     level = _level(grey, 1, search, most_crops)
     while level.factor < 2 ** (_LEVELS - 1) and _wants_halving(level, search.largest_px, min(grey.shape)):
         factor = level.factor * 2
@@ -143,14 +136,10 @@ class _Level:
 
 
 def _level(grey: FloatArray, factor: int, search: KernelSearch, most_crops: int) -> _Level:
-    size = min(_CROP_PX, *grey.shape)
-    whole = max(grey.shape) <= 1.25 * _CROP_PX
-    corners = [(0, 0)] if whole else pick_crops(grey, size=size, count=most_crops)
-    windows = [grey if whole else grey[r : r + size, c : c + size] for r, c in corners]
-    textured = [window for window in windows if np.ptp(window) > 0]  # a burnt-out sky says nothing, not even noise
-    if not textured:
+    crops = best_crops(grey, count=most_crops)
+    crops = crops[np.ptp(crops, axis=(1, 2)) > 0]  # a burnt-out sky says nothing, not even noise
+    if not len(crops):
         raise ValueError("photo: has edges of one direction at most; motion shows only where the scene has texture")
-    crops = np.stack(textured)
     return _Level(factor, crops, search.search(crops))
 
 
@@ -159,7 +148,7 @@ def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:
     side_px = full_side_px // level.factor
     y, x = np.nonzero(level.found.kernels[level.found.best])
     outgrown = max(np.ptp(y), np.ptp(x)) + 1 > _LARGEST_EXTENT * largest_px
-    lost = level.found.confidence < _LOST and side_px >= 2 * _CROP_PX
+    lost = level.found.confidence < _LOST and side_px >= 2 * CROP_PX
     return bool((outgrown and side_px >= _LEAST_HALVED_PX) or lost)
 
 
@@ -173,7 +162,10 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
     if level.factor > 1:
         trajectories = [trajectory.scaled(level.factor) for trajectory in trajectories]
     weights = found.probabilities[chosen] / found.probabilities[chosen].sum()
-    psf = _framed(kernels[found.best]) if level.factor == 1 else _psf_of(trajectories[0])
+    psf = drawn = trajectories[0].psf(trajectories[0].frame_size(PSF_PX))
+    if level.factor == 1:
+        psf = in_frame(kernels[found.best], max(PSF_PX, len(kernels[found.best]) + 1))
+        psf = psf / psf.sum()
     warnings = [*found.warnings, *([] if uneven is None else [uneven])]
     confidence = found.confidence
     length_px, extent_px = trajectories[0].length_px, trajectories[0].extent_px
@@ -206,7 +198,7 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
             "crops": len(level.crops),
             "scale": 1 / level.factor,
             **found.details,
-            "trajectory_psf_mnc": mnc_subpixel(psf, _psf_of(trajectories[0])),
+            "trajectory_psf_mnc": mnc_subpixel(psf, drawn),
         },
     )
 
@@ -223,22 +215,9 @@ def without_faint_parts(kernel: FloatArray) -> FloatArray:
     -------
     (k, k) float, sum 1
     """
-    kept = np.where(kernel < _FAINT * kernel.max(), 0.0, kernel)
+    kept = without_faint_light(kernel, below=_FAINT)
     label, count = ndimage.label(kept, structure=np.ones((3, 3)))
     light = ndimage.sum_labels(kept, label, np.arange(count + 1))
     light[0] = 0
     kept = np.where(light[label] >= min(light.max(), _SPECK_SHARE * kept.sum()), kept, 0.0)
     return np.asarray(kept / kept.sum(), dtype=np.float64)
-
-
-def _psf_of(trajectory: Trajectory) -> FloatArray:
-    return trajectory.psf(max(_FRAME_PX, trajectory.frame_size()))
-
-
-def _framed(kernel: FloatArray) -> FloatArray:
-    """Put an odd kernel into the 64-px frame, zero displacement at index 32."""
-    side = max(_FRAME_PX, kernel.shape[0] + 1)
-    low = side // 2 - kernel.shape[0] // 2
-    psf = np.zeros((side, side))
-    psf[low : low + kernel.shape[0], low : low + kernel.shape[1]] = kernel
-    return np.asarray(psf / psf.sum(), dtype=np.float64)

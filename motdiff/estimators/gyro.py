@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.gyro import DEFAULT_AXES, GyroTrace, roll_rad, trajectory_from_gyro
+from motdiff.psf_frame import PSF_PX
 
 __all__ = ["GyroEstimator"]
 
@@ -47,7 +48,7 @@ class GyroEstimator:
     start_s: float
     exposure_s: float
     axes: tuple[str, str] = DEFAULT_AXES
-    size: int = 64
+    size: int = PSF_PX
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Return the motion during the exposure of ``photo``, (H, W) or (H, W, C).

@@ -8,11 +8,10 @@ from numpy.typing import ArrayLike
 
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.looked_at import looked_at
+from motdiff.psf_frame import PSF_PX
 from motdiff.quadratic import QuadraticPath
 
 __all__ = ["ParametricEstimator"]
-
-_PSF_PX = 64
 
 
 class ParametricEstimator:
@@ -53,7 +52,7 @@ class ParametricEstimator:
             "parametric",
             (trajectory,),
             (1.0,),
-            trajectory.psf(max(_PSF_PX, trajectory.frame_size())),
+            trajectory.psf(trajectory.frame_size(PSF_PX)),
             confidence=0.0,
             details={"a_px": path.a.tolist(), "b_px": path.b.tolist()},
         )

@@ -11,6 +11,7 @@ from scipy import ndimage
 from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import mnc_subpixel, register_shift
+from motdiff.psf_frame import PSF_PX, centred, in_frame
 from motdiff.tracing import trace_psf_to_trajectory
 
 __all__ = ["PointEstimator"]
@@ -58,7 +59,7 @@ class PointEstimator:
         Lights averaged at most.
     """
 
-    size: int = 64
+    size: int = PSF_PX
     agreement: float = 0.9
     most: int = 8
 
@@ -85,7 +86,8 @@ class PointEstimator:
         # faint streaks neither help nor tell whether the blur differs
         comparable = [s for s in others if _snr(s) > 0.2 * _snr(best) and s.clipped_share <= _LOST_TO_CLIPPING]
         agreeing = [s for s in comparable if mnc_subpixel(best.psf, s.psf) >= self.agreement][: self.most - 1]
-        psf = _centred(_average([best, *agreeing]), self.size)
+        psf = in_frame(centred(_average([best, *agreeing])), self.size)
+        psf = psf / psf.sum()
         warnings = []
         if best.clipped_share > _LOST_TO_CLIPPING:
             warnings.append(
@@ -172,13 +174,3 @@ def _average(streaks: list[_Streak]) -> FloatArray:
         moved = ndimage.shift(streak.psf, (dy, dx), order=3) if streak is not first else streak.psf
         total += _snr(streak) ** 2 * np.maximum(moved, 0)
     return np.asarray(total / total.sum(), dtype=np.float64)
-
-
-def _centred(psf: FloatArray, size: int) -> FloatArray:
-    """Move the centroid to index ``size // 2``, by the nearest whole pixel: interpolating would widen the path."""
-    at = np.arange(size)
-    shift = [size // 2 - round(float(at @ psf.sum(axis=axis))) for axis in (1, 0)]
-    room = np.pad(psf, size)
-    start = [size - s for s in shift]
-    moved = room[start[0] : start[0] + size, start[1] : start[1] + size]
-    return np.asarray(moved / moved.sum(), dtype=np.float64)

@@ -13,6 +13,7 @@ from scipy import fft, ndimage
 from motdiff import crops, psf_fit
 from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import mnc_subpixel
+from motdiff.psf_frame import PSF_PX, centroid_px, without_faint_light
 from motdiff.registration import coarse_shift, high_passed
 from motdiff.tracing import trace_psf_to_trajectory
 
@@ -26,6 +27,9 @@ _RIM_PX = int(3 * _HIGH_PASS_PX)  # the high-passed photo is not trusted this cl
 _SPLINE_MARGIN_PX = 8
 _LEAST_CROP_PX = 32
 _LAMP_REACH = 0.005  # share of a lamp's light that spoils a pixel
+_LAMP_FAINT = 0.05  # share of the peak: a lamp must not spoil the photo through noise in the first kernel
+_SPECK_FAINT = 0.03  # share of the peak: fainter light joins no parts of the kernel
+_SPECK_SHARE = 0.02  # of all light: a part with less is noise
 _CHANNEL_CLIPPED = 0.1  # a channel with this share of clipped pixels is worth nothing beside others
 _LOST = 0.6
 
@@ -59,8 +63,8 @@ class ReferenceEstimator:
     """
 
     sharp: ArrayLike
-    size: int = 64
-    crop_px: int = 256
+    size: int = PSF_PX
+    crop_px: int = crops.CROP_PX
     crop_count: int = 4
 
     def __post_init__(self) -> None:
@@ -84,12 +88,12 @@ class ReferenceEstimator:
         sparse = noise * self.size**2
         psf = psf_fit.fit_psf(pairs, self.size, sparse=sparse)
         for _ in range(2):  # the second time only where the first fit was cut by the frame
-            offset = _centroid(psf)
+            offset = centroid_px(psf)
             moved = (shift[0] + offset[0], shift[1] + offset[1])
             places = self._places(sharp, blurred, moved)
             pairs = [self._pair(sharp, blurred, place, moved, psf) for place in places]
             psf, shift = psf_fit.fit_psf(pairs, self.size, sparse=sparse), moved
-            if math.hypot(*_centroid(psf)) < 0.1:
+            if math.hypot(*centroid_px(psf)) < 0.1:
                 break
         psf = _without_specks(psf)
         gain = float(psf.sum())
@@ -195,7 +199,7 @@ class ReferenceEstimator:
         lamps = sharp.clipped[cut][inner]
         if psf is not None and lamps.any():
             # light of unknown strength: leave out what it reaches
-            solid = np.where(psf > 0.05 * psf.max(), psf, 0)
+            solid = without_faint_light(psf, below=_LAMP_FAINT)
             spread = tuple(fft.next_fast_len(n, real=True) for n in lamps.shape)
             spectrum = fft.rfft2(lamps.astype(np.float64), spread) * fft.rfft2(solid / solid.sum(), spread)
             reach = fft.irfft2(spectrum, spread)
@@ -258,11 +262,11 @@ def _explained_beyond_noise(pairs: Sequence[psf_fit.PatchPair], psf: FloatArray,
 
 def _without_specks(psf: FloatArray) -> FloatArray:
     """Drop what lies apart from the path and holds little light: noise scattered over the frame."""
-    solid = psf > 0.03 * psf.max()
+    solid = psf > _SPECK_FAINT * psf.max()
     labels, count = ndimage.label(ndimage.binary_dilation(solid, np.ones((3, 3)), iterations=2), np.ones((3, 3)))
     light = ndimage.sum_labels(psf, labels, np.arange(count + 1))
     light[0] = 0
-    return np.where((light >= 0.02 * psf.sum())[labels], psf, 0)
+    return np.where((light >= _SPECK_SHARE * psf.sum())[labels], psf, 0)
 
 
 def _half(pairs: Sequence[psf_fit.PatchPair], side: int) -> list[psf_fit.PatchPair]:
@@ -272,12 +276,3 @@ def _half(pairs: Sequence[psf_fit.PatchPair], side: int) -> list[psf_fit.PatchPa
         right = np.arange(pair.weight.shape[1]) >= pair.weight.shape[1] // 2
         kept.append(replace(pair, weight=pair.weight * (right == bool(side))))
     return kept
-
-
-def _centroid(psf: FloatArray) -> tuple[float, float]:
-    """Return (y, x) of the PSF's centre of mass from index ``size // 2``, px."""
-    total = float(psf.sum())
-    if total <= 0:
-        return 0.0, 0.0
-    at = np.arange(len(psf)) - len(psf) // 2
-    return float(at @ psf.sum(axis=1)) / total, float(at @ psf.sum(axis=0)) / total

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from motdiff.crops import uniformity
 from motdiff.estimators.judge import Judge
 from motdiff.metrics import mnc_subpixel
+from motdiff.psf_frame import in_frame
 
 __all__ = ["uneven_blur_warning"]
 
@@ -51,6 +52,5 @@ def uneven_blur_warning(crops: FloatArray, own: Sequence[FloatArray], shared: Fl
 
 def _odd(kernel: FloatArray) -> FloatArray:
     """Cut an even frame, whose first row and column are beyond the reach of its centre, to an odd one; sum 1."""
-    low = 1 - kernel.shape[0] % 2
-    cut = kernel[low:, low:]
+    cut = in_frame(kernel, (len(kernel) - 1) | 1)
     return np.asarray(cut / max(float(cut.sum()), 1e-12), dtype=np.float64)

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.blind import without_faint_parts
+from motdiff.psf_frame import PSF_PX, centred, in_frame, without_faint_light
 from motdiff.tracing import simplest_trajectory
 
 __all__ = ["unjudged_estimate"]
 
-_FRAME_PX = 64
-_DUST = 0.01
+_FAINT = 0.01  # share of the peak: what a generator leaves off the path; nothing else cleans these kernels
 
 
 def unjudged_estimate(method: str, kernel: ArrayLike, details: Mapping[str, object]) -> MotionEstimate:
@@ -30,17 +30,9 @@ def unjudged_estimate(method: str, kernel: ArrayLike, details: Mapping[str, obje
     details : mapping
         Figures for the report.
     """
-    light = np.asarray(kernel, dtype=np.float64)
-    light = np.where(light < _DUST * light.max(), 0.0, light)
-    psf = _centred(light / light.sum())
+    light = without_faint_light(kernel, below=_FAINT)
+    psf = centred(light / light.sum())
+    reach = int(np.abs(np.argwhere(psf) - np.array(psf.shape) // 2).max())
+    psf = in_frame(psf, max(PSF_PX, 2 * (reach + 1)))
     trajectory = simplest_trajectory(without_faint_parts(psf))
     return MotionEstimate(method, (trajectory,), (1.0,), psf, confidence=0.0, details=dict(details))
-
-
-def _centred(kernel: NDArray[np.float64]) -> NDArray[np.float64]:
-    at = np.argwhere(kernel)
-    at = at - np.rint(kernel[kernel > 0] @ at).astype(np.intp)
-    side = max(_FRAME_PX, 2 * (int(np.abs(at).max()) + 1))
-    psf = np.zeros((side, side))
-    psf[tuple((at + side // 2).T)] = kernel[kernel > 0]
-    return psf

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from motdiff.evaluation.sets import PSF_PX, Case
+from motdiff.evaluation.sets import Case
 from motdiff.gyro_tables import read_gyro
+from motdiff.psf_frame import PSF_PX, centred, in_frame
 from motdiff.quadratic import most_alike_quadratic
 from motdiff.trajectory import Trajectory
 
@@ -75,9 +76,7 @@ def mean_psf(psfs: Sequence[FloatArray]) -> FloatArray:
         peaks = lags.reshape(len(padded), -1).argmax(axis=1)
         moves = zip(*np.unravel_index(peaks, mean.shape), strict=True)
         mean = np.mean([np.roll(psf, move, axis=(0, 1)) for psf, move in zip(padded, moves, strict=True)], axis=0)
-    at = np.arange(2 * size) - size
-    offsets = [-round(float(at @ mean.sum(axis=1 - axis))) for axis in (0, 1)]
-    framed = np.roll(mean, offsets, axis=(0, 1))[room:-room, room:-room]
+    framed = in_frame(centred(mean), size)
     return np.asarray(framed / framed.sum(), dtype=np.float64)
 
 
@@ -101,7 +100,7 @@ def path_kernel(trajectory: Trajectory) -> FloatArray:
 def quadratic_kernel(trajectory: Trajectory) -> FloatArray:
     """PSF, 64 px or larger, of the quadratic path whose PSF is most like the trajectory's (2 CPU-s)."""
     quadratic = most_alike_quadratic(trajectory, size=PSF_PX).trajectory()
-    return quadratic.psf(max(PSF_PX, quadratic.frame_size()))
+    return quadratic.psf(quadratic.frame_size(PSF_PX))
 
 
 def floors(mean: FloatArray | None = None) -> dict[str, FloatArray]:

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
-from motdiff.evaluation.sets import PSF_PX, Case
+from motdiff.evaluation.sets import Case
 from motdiff.metrics import (
+    laid_on,
     mnc,
     mnc_subpixel,
     path_distance_px,
     psnr_ssim_up_to_shift,
-    register_shift,
 )
+from motdiff.psf_frame import PSF_PX
 
 __all__ = ["FIGURES", "RESTORATION", "Measured", "Row", "measure_estimator", "measure_psf", "restored"]
 
@@ -194,7 +195,7 @@ def _earlier_cpu_s(estimate: MotionEstimate) -> float:
 
 def _path_figures(case: Case, estimate: MotionEstimate) -> tuple[float, float]:
     path = estimate.trajectories[0]
-    own = path.psf(max(PSF_PX, path.frame_size()))
+    own = path.psf(path.frame_size(PSF_PX))
     distance_px = _NAN if case.trajectory is None else path_distance_px(path, case.trajectory)
     return mnc_subpixel(own, case.psf), distance_px
 
@@ -203,12 +204,5 @@ def _restoration(case: Case, psf: FloatArray) -> tuple[float, float]:
     if case.sharp is None:
         return _NAN, _NAN
     sharp = luminance(case.sharp)
-    image = restored(luminance(case.photo), _laid_on(case.psf, psf))
+    image = restored(luminance(case.photo), laid_on(case.psf, psf))
     return psnr_ssim_up_to_shift(image, sharp)
-
-
-def _laid_on(truth: FloatArray, psf: FloatArray) -> FloatArray:
-    """Move ``psf`` by whole pixels onto the truth: a blind kernel lies anywhere, and so would the photo restored."""
-    dx, dy = (round(d) for d in register_shift(truth, psf))
-    room = max(abs(dx), abs(dy))
-    return np.roll(np.pad(psf, room), (dy, dx), axis=(0, 1))

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from motdiff.evaluation.sets import PSF_PX, Case
+from motdiff.evaluation.sets import Case
 from motdiff.evaluation.tables import GOOD_MNC, Bin
-from motdiff.metrics import mnc_subpixel, register_shift
+from motdiff.metrics import laid_on, mnc_subpixel
+from motdiff.psf_frame import in_frame
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,15 +66,13 @@ def contact_sheet(cases: Sequence[Case], kernels: Mapping[str, Mapping[str, Floa
             axes.set_yticks([])
         line[0].imshow(np.clip(case.photo, 0, 1), cmap="gray", vmin=0, vmax=1)
         line[0].set_ylabel(case.name, fontsize=7)
-        truth = _framed(case.psf, 0, 0)
-        line[1].imshow(np.sqrt(truth), cmap="magma")
+        line[1].imshow(np.sqrt(in_frame(case.psf)), cmap="magma")
         for axes, method in zip(line[2:], kernels, strict=True):
             psf = kernels[method].get(case.name)
             if psf is None:
                 axes.set_axis_off()
                 continue
-            dx, dy = (round(d) for d in register_shift(case.psf, psf))
-            axes.imshow(np.sqrt(np.maximum(_framed(psf, dx, dy), 0)), cmap="magma")
+            axes.imshow(np.sqrt(np.maximum(in_frame(laid_on(case.psf, psf)), 0)), cmap="magma")
             axes.set_xlabel(f"{mnc_subpixel(psf, case.psf):.2f}", fontsize=7, labelpad=1)
     for axes, name in zip(grid[0], columns, strict=True):
         axes.set_title(name, fontsize=8)
@@ -98,17 +97,6 @@ def drawn_sheet(photo: FloatArray, told: FloatArray, psfs: FloatArray) -> bytes:
         axes.set_title(title, fontsize=8)
         axes.set_axis_off()
     return _png(figure)
-
-
-def _framed(psf: FloatArray, dx: int, dy: int) -> FloatArray:
-    """Show a kernel of any frame in 64 px, moved by whole pixels; what leaves the frame is not seen."""
-    out = np.zeros((PSF_PX, PSF_PX))
-    rows, columns = np.nonzero(psf)
-    row = rows - psf.shape[0] // 2 + PSF_PX // 2 + dy
-    column = columns - psf.shape[1] // 2 + PSF_PX // 2 + dx
-    inside = (row >= 0) & (row < PSF_PX) & (column >= 0) & (column < PSF_PX)
-    out[row[inside], column[inside]] = psf[rows[inside], columns[inside]]
-    return out
 
 
 def _figure(width_in: float, height_in: float) -> Figure:

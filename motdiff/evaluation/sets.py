@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from motdiff.gyro_tables import read_gyro
 from motdiff.mat_files import levin_psf, read_mat
+from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import add_noise, blur_symmetric, blur_valid, valid_window
 from motdiff.trajectory import Trajectory
 
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from motdiff.training.motion_bank import MotionMix
 
 __all__ = [
-    "PSF_PX",
     "RECIPES",
     "Borders",
     "Case",
@@ -34,7 +34,6 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 Borders = Literal["real", "symmetric"]
 
-PSF_PX = 64
 _STREAM = 0x6576616C  # keeps these motions apart from those that a training run of the same seed has drawn
 
 

@@ -9,13 +9,17 @@ from torch.nn import functional
 from motdiff.network.aggregation import LocalEmphasis, StepwiseAggregation
 from motdiff.network.config import NetworkConfig
 from motdiff.network.pvt import PyramidVisionTransformer
-from motdiff.network.unet import GRID, GridUNet, silence
+from motdiff.network.unet import GridUNet, silence
+from motdiff.psf_frame import PSF_PX
 
-__all__ = ["ConditionNetwork", "PhotoEncoder"]
+__all__ = ["PHOTO_PX", "ConditionNetwork", "PhotoEncoder"]
 
 _IMAGENET_MEAN = (0.485, 0.456, 0.406)
 _IMAGENET_STD = (0.229, 0.224, 0.225)
-_STRIDE = 32  # of the coarsest feature
+_STRIDE, _CONDITION_STRIDE = 32, 4  # of the coarsest feature, and of the condition, in photo pixels
+
+PHOTO_PX = _CONDITION_STRIDE * PSF_PX
+"""Side of the photo that goes with physics maps, px: its features then lie on the PSF's grid."""
 
 
 class PhotoEncoder(nn.Module):
@@ -53,7 +57,7 @@ class PhotoEncoder(nn.Module):
             raise ValueError(f"photo has shape {tuple(photo.shape)}; it must be {wanted}")
         pooled = functional.avg_pool2d(photo, self.pool) if self.pool > 1 else photo
         features = self.backbone((pooled - self.mean) / self.std)
-        fine = [side // (4 * self.pool) for side in sides]
+        fine = [side // (_CONDITION_STRIDE * self.pool) for side in sides]
         emphasised = [emphasis(features[i], fine) for i, emphasis in zip(self.used, self.emphasis, strict=True)]
         z1: Tensor = self.aggregation(emphasised)
         return functional.interpolate(z1, scale_factor=self.pool, mode="bilinear") if self.pool > 1 else z1
@@ -118,8 +122,10 @@ class ConditionNetwork(nn.Module):
         """
         _check_presence("photo", photo, wanted=self.photo is not None)
         _check_presence("physics", physics, wanted=self.physics is not None)
-        if photo is not None and physics is not None and photo.shape[-2:] != (4 * GRID, 4 * GRID):
-            raise ValueError(f"photo has shape {tuple(photo.shape)}; with physics maps it must be (B, 3, 256, 256)")
+        if photo is not None and physics is not None and photo.shape[-2:] != (PHOTO_PX, PHOTO_PX):
+            raise ValueError(
+                f"photo has shape {tuple(photo.shape)}; with physics maps it must be (B, 3, {PHOTO_PX}, {PHOTO_PX})"
+            )
         parts: list[Tensor] = []
         if self.physics is not None:
             parts.append(self.physics(physics))  # (B, physics_width, 64, 64)

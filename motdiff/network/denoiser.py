@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from motdiff.network.unet import GridUNet, silence
+from motdiff.psf_frame import MAP_PITCH
 
 __all__ = ["Denoiser", "timestep_embedding"]
 
@@ -64,12 +65,12 @@ class Denoiser(nn.Module):
         outputs: int = 1,
         dropout: float = 0.1,
         time_width: int = 128,
-        pitch: int = 4,
+        pitch: int = MAP_PITCH,
         view: int = 0,
     ) -> None:
         super().__init__()
         self.pitch = pitch
-        grow = {4: 2, 1: 1}[pitch]  # of each decoding block
+        grow = {MAP_PITCH: 2, 1: 1}[pitch]  # of each decoding block
         self.time = _TimeNetwork(time_width)
         self.enter = nn.Conv2d(1, width, 7, pitch, 3)
         self.residual = _ResidualBlock(width, time_width)

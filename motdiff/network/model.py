@@ -7,6 +7,7 @@ from torch import Tensor
 from motdiff.network.condition import ConditionNetwork
 from motdiff.network.config import NetworkConfig
 from motdiff.network.denoiser import Denoiser
+from motdiff.psf_frame import MAP_PITCH
 
 __all__ = ["MotDiffNetwork"]
 
@@ -36,7 +37,7 @@ class MotDiffNetwork(ConditionNetwork):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
-        self.pitch = {"map": 4, "psf": 1}[config.target]
+        self.pitch = {"map": MAP_PITCH, "psf": 1}[config.target]
         self.denoiser = Denoiser(
             self.condition_channels,
             width=config.denoiser_width,

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from motdiff.network.condition import ConditionNetwork
 from motdiff.network.config import NetworkConfig
-from motdiff.network.unet import GRID
+from motdiff.psf_frame import PSF_PX
 
 __all__ = ["PathHead", "PathNetwork"]
 
@@ -37,7 +37,7 @@ class PathHead(nn.Module):
         for inputs, outputs in itertools.pairwise(widths):
             layers += [nn.GroupNorm(_GROUPS, inputs), nn.SiLU(), nn.Conv2d(inputs, outputs, 3, 2, 1)]
         self.narrow = nn.Sequential(*layers)  # (B, 32, 8, 8)
-        self.hidden = nn.Linear(widths[-1] * (GRID // 8) ** 2, _HIDDEN)
+        self.hidden = nn.Linear(widths[-1] * (PSF_PX // 8) ** 2, _HIDDEN)
         self.output = nn.Linear(_HIDDEN, 4)
         nn.init.normal_(self.output.weight, std=0.02)
         self.output.bias = nn.Parameter(torch.tensor([0.5, 0.0, 0.0, 0.0]))  # no gradient leads away from a = 0

@@ -12,9 +12,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-__all__ = ["GRID", "GridUNet", "silence"]
+from motdiff.psf_frame import PSF_PX
 
-GRID = 64  # side of the maps
+__all__ = ["GridUNet", "silence"]
+
 _HEADS = 4
 _LARGEST = 2.0  # channels grow by half the width per level, up to this multiple
 
@@ -40,7 +41,7 @@ class GridUNet(nn.Module):
 
     def __init__(self, channels: int, width: int, depth: int, patch: int = 1) -> None:
         super().__init__()
-        side = GRID // patch
+        side = PSF_PX // patch
         widths = [int(width * min(1 + level / 2, _LARGEST)) for level in range(depth + 1)]
         attends = [level > 0 and level >= depth - 1 for level in range(depth + 1)]
         self.channels = channels
@@ -62,8 +63,8 @@ class GridUNet(nn.Module):
         ValueError
             If `maps` has another shape.
         """
-        if maps.shape[1:] != (self.channels, GRID, GRID):
-            raise ValueError(f"maps has shape {tuple(maps.shape)}; it must be (B, {self.channels}, {GRID}, {GRID})")
+        if maps.shape[1:] != (self.channels, PSF_PX, PSF_PX):
+            raise ValueError(f"maps has shape {tuple(maps.shape)}; it must be (B, {self.channels}, {PSF_PX}, {PSF_PX})")
         x: Tensor = self.fine(self.stem(self.fold(maps)) + self.position)  # (B, width, side, side)
         skips = []
         for down, inward in zip(self.down, self.inward, strict=True):

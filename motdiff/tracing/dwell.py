@@ -8,6 +8,7 @@ from scipy import fft, linalg, optimize
 
 from motdiff import rasterise
 from motdiff.metrics import register_shift
+from motdiff.psf_frame import PSF_PX, in_frame
 from motdiff.trajectory import Trajectory
 
 __all__ = ["checked_psf", "fit_dwell", "fit_dwell_to_photo"]
@@ -47,10 +48,7 @@ def fit_dwell(path_px: ArrayLike, psf: ArrayLike, *, smoothness: float = 0.01, e
         If the path is not (N, 2) and finite, or the PSF is not finite, non-negative and with light.
     """
     light = checked_psf(psf)
-    size = 2 * (max(light.shape) // 2) + 1
-    target = np.zeros((size, size))
-    row, column = size // 2 - light.shape[0] // 2, size // 2 - light.shape[1] // 2
-    target[row : row + light.shape[0], column : column + light.shape[1]] = light / light.sum()
+    target = in_frame(light / light.sum(), 2 * (max(light.shape) // 2) + 1)
     impulse = np.zeros((3, 3))
     impulse[1, 1] = 1.0
     return _fit(_nodes(path_px, extend_px), impulse, target, smoothness)
@@ -61,7 +59,7 @@ def fit_dwell_to_photo(
     photo: ArrayLike,
     sharp: ArrayLike,
     *,
-    size: int = 64,
+    size: int = PSF_PX,
     smoothness: float = 0.01,
     extend_px: float = 1.0,
 ) -> Trajectory:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX
 from motdiff.tracing.dwell import checked_psf, fit_dwell
 from motdiff.tracing.graph import BranchGraph, branch_graph, drawn_pixels
 from motdiff.tracing.trail import smoothest_trail
@@ -18,7 +19,6 @@ __all__ = ["trace_map", "trace_psf", "trace_psf_to_trajectory"]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_MAP_CENTRE, _MAP_PITCH = 129.5, 4
 _MARGIN_PX = 3
 _RIDGE_PX = 0.4  # scale of the ridge filter, on top of the 0.6 px of the spline that interpolates
 _SPUR_PX, _NOISY_SPUR_PX = 7.0, 12.0  # fine pixels: what a skeleton grows at blobs
@@ -54,9 +54,9 @@ def trace_map(hr_map: ArrayLike) -> FloatArray:
     Where strands share pixels, a binary map does not say how often or in which pairing; the smoothest curve is taken.
     """
     soft = np.asarray(hr_map)
-    if soft.shape != (256, 256):
-        raise ValueError(f"hr_map: must be (256, 256), got shape {soft.shape}")
-    return _traced(branch_graph(drawn_pixels(soft)), _MAP_CENTRE)
+    if soft.shape != (MAP_PX, MAP_PX):
+        raise ValueError(f"hr_map: must be ({MAP_PX}, {MAP_PX}), got shape {soft.shape}")
+    return _traced(branch_graph(drawn_pixels(soft)), MAP_CENTRE)
 
 
 def trace_psf(psf: ArrayLike) -> FloatArray:
@@ -78,7 +78,7 @@ def trace_psf(psf: ArrayLike) -> FloatArray:
     """
     light = checked_psf(psf)
     drawn, spur_px = _ridges(light)
-    centre = _MAP_PITCH * np.array([light.shape[1] // 2, light.shape[0] // 2]) + _MAP_PITCH * _MARGIN_PX
+    centre = MAP_PITCH * np.array([light.shape[1] // 2, light.shape[0] // 2]) + MAP_PITCH * _MARGIN_PX
     return _traced(_with_worth(branch_graph(drawn, gap_px=_PSF_GAP_PX, spur_px=spur_px), light), centre)
 
 
@@ -99,9 +99,9 @@ def _ridges(light: FloatArray) -> tuple[BoolArray, float]:
     A crest is a local maximum across the ridge, so that a fast, faint stretch next to a slow, bright one is found.
     """
     padded = np.pad(light / light.max(), _MARGIN_PX)
-    grid = np.meshgrid(*(np.arange(_MAP_PITCH * (n - 1) + 1) / _MAP_PITCH for n in padded.shape), indexing="ij")
+    grid = np.meshgrid(*(np.arange(MAP_PITCH * (n - 1) + 1) / MAP_PITCH for n in padded.shape), indexing="ij")
     fine = ndimage.map_coordinates(padded, grid, order=3, prefilter=False)  # a smoothing spline: no overshoot
-    sigma = _RIDGE_PX * _MAP_PITCH
+    sigma = _RIDGE_PX * MAP_PITCH
     yy, xx, xy = (ndimage.gaussian_filter(fine, sigma, order=order) for order in ((2, 0), (0, 2), (1, 1)))
     ridge = np.maximum(0.5 * (np.hypot(xx - yy, 2 * xy) - xx - yy), 0.0)
     noise = _NOISE_MEDIANS * float(np.median(ridge))
@@ -112,7 +112,7 @@ def _ridges(light: FloatArray) -> tuple[BoolArray, float]:
     beside = np.maximum(*(ndimage.map_coordinates(ridge, index + way * step, order=1) for way in (-1, 1)))
     weak = max(_WEAK_PART * float(ridge.max()), noise)
     strong = max(_STRONG_PART * float(ridge.max()), 1.7 * weak)
-    near = ndimage.maximum_filter(ridge, int(2 * _LOCAL_PX * _MAP_PITCH) + 1)
+    near = ndimage.maximum_filter(ridge, int(2 * _LOCAL_PX * MAP_PITCH) + 1)
     crest = (ridge >= beside) & (ridge >= np.maximum(weak, _LOCAL_PART * near))
     crest = ndimage.binary_dilation(crest, structure=np.ones((3, 3)))
     labels, count = ndimage.label(crest, structure=np.ones((3, 3)))
@@ -130,9 +130,7 @@ def _with_worth(graph: BranchGraph, light: FloatArray) -> BranchGraph:
     if not graph.branches:
         return graph
     soft = ndimage.gaussian_filter(np.pad(light, _MARGIN_PX), _CREST_PX)
-    crests = [
-        ndimage.map_coordinates(soft, branch.points[:, ::-1].T / _MAP_PITCH, order=1) for branch in graph.branches
-    ]
+    crests = [ndimage.map_coordinates(soft, branch.points[:, ::-1].T / MAP_PITCH, order=1) for branch in graph.branches]
     median = max(float(np.median(np.concatenate(crests))), np.finfo(float).tiny)  # bridges over gaps are dark
     shares = [min(1.0, float(crest.mean()) / median) for crest in crests]
     branches = [replace(branch, worth=share**2) for branch, share in zip(graph.branches, shares, strict=True)]
@@ -140,7 +138,7 @@ def _with_worth(graph: BranchGraph, light: FloatArray) -> BranchGraph:
 
 
 def _traced(graph: BranchGraph, centre: float | FloatArray) -> FloatArray:
-    return (_without_stairs(smoothest_trail(graph)) - centre) / _MAP_PITCH
+    return (_without_stairs(smoothest_trail(graph)) - centre) / MAP_PITCH
 
 
 def _without_stairs(points: FloatArray) -> FloatArray:

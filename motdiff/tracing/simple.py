@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motdiff.metrics import mnc_subpixel
+from motdiff.psf_frame import PSF_PX
 from motdiff.quadratic import quadratic_of_psf
 from motdiff.tracing.path import trace_psf_to_trajectory
 from motdiff.trajectory import Trajectory
@@ -13,7 +14,6 @@ from motdiff.trajectory import Trajectory
 __all__ = ["simplest_trajectory"]
 
 _EXPLAINED_MNC = 0.86  # docs/decisions/tracing.md
-_FRAME_PX = 64
 
 
 def simplest_trajectory(psf: ArrayLike) -> Trajectory:
@@ -29,5 +29,5 @@ def simplest_trajectory(psf: ArrayLike) -> Trajectory:
     """
     light = np.asarray(psf, dtype=np.float64)
     plain = quadratic_of_psf(light).trajectory()
-    drawn = plain.psf(max(_FRAME_PX, plain.frame_size()))
+    drawn = plain.psf(plain.frame_size(PSF_PX))
     return plain if mnc_subpixel(drawn, light) >= _EXPLAINED_MNC else trace_psf_to_trajectory(light)

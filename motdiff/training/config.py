@@ -9,6 +9,7 @@ from typing import Any
 
 from motdiff.inputs import one_line, read_toml
 from motdiff.network.config import NetworkConfig
+from motdiff.psf_frame import PSF_PX
 from motdiff.training.motion_bank import MotionMix
 from motdiff.training.simulation import Photography
 
@@ -128,7 +129,7 @@ class OptimiserConfig:
     ema: float = 0.999
     clip: float = 1.0
     precision: str = "fp32"
-    window: int = 64
+    window: int = PSF_PX
     compile: bool = False
     start: str = ""
     seed: int = 0
@@ -147,8 +148,8 @@ class OptimiserConfig:
             raise ValueError(f"optimiser.seed: must lie within 0..2^32 - 1, got {self.seed}")
         if self.precision not in ("fp32", "bf16"):
             raise ValueError(f'optimiser.precision: must be "fp32" or "bf16", got {self.precision!r}')
-        if not 8 <= self.window <= 64:
-            raise ValueError(f"optimiser.window: must lie within 8..64, got {self.window}")
+        if not 8 <= self.window <= PSF_PX:
+            raise ValueError(f"optimiser.window: must lie within 8..{PSF_PX}, got {self.window}")
         if not 0 <= self.ema < 1:
             raise ValueError(f"optimiser.ema: must be at least 0 and below 1, got {self.ema}")
 
@@ -171,10 +172,9 @@ class TrainingConfig:
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
 
     def __post_init__(self) -> None:
-        if self.network.denoiser_view and self.optimiser.window != 64:
-            raise ValueError(
-                f"optimiser.window: must be 64 for a denoiser that sees the whole map, got {self.optimiser.window}"
-            )
+        if self.network.denoiser_view and self.optimiser.window != PSF_PX:
+            given = self.optimiser.window
+            raise ValueError(f"optimiser.window: must be {PSF_PX} for a denoiser that sees the whole map, got {given}")
 
     def as_dict(self) -> dict[str, Any]:
         """Fields as plain values, ready for JSON."""

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from motdiff.conditions import display_photo, physics_maps, spectral_maps, stacked_maps
 from motdiff.grids import mirrored
+from motdiff.psf_frame import MAP_PITCH
 from motdiff.training.motion_bank import MotionBank
 from motdiff.training.samples import Samples, simulate
 from motdiff.training.simulation import Photography
@@ -160,7 +161,7 @@ class PreparedSource:
         if self._maps is not None:
             spectral, kernels = (mirrored(maps[index].float(), symmetry, pitch=1) for maps in self._maps)
             physics = stacked_maps(spectral, kernels)
-        x0, dwell = (mirrored(maps[index].float(), symmetry, pitch=4) for maps in (self._x0, self._dwell))
+        x0, dwell = (mirrored(maps[index].float(), symmetry, pitch=MAP_PITCH) for maps in (self._x0, self._dwell))
         return Batch(photo, physics, x0, dwell)
 
 

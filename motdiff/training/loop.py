@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from motdiff.diffusion import Schedule, cosine_schedule, q_sample, stochastic_trajectory_pixel_dropout, to_signal
 from motdiff.losses import denoising_loss, dwell_loss, structure_loss
 from motdiff.network import build_network
+from motdiff.psf_frame import PSF_PX
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from motdiff.training.config import LossConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch, BatchSource, seed_of
@@ -25,7 +26,6 @@ from motdiff.weights import load_start
 __all__ = ["Losses", "Trainer", "learning_rate", "loss_of"]
 
 _BETAS = (0.9, 0.999)
-_FIELD_PX = 64
 _NOISE, _DROPOUT = 3, 4  # seeds of their own, and not the batch's: else a motion would meet the same noise every time
 
 
@@ -217,7 +217,7 @@ def loss_of(
     schedule: Schedule,
     generator: torch.Generator,
     physics_dropout: float = 0.0,
-    window: int = _FIELD_PX,
+    window: int = PSF_PX,
 ) -> tuple[Tensor, Tensor]:
     """Path loss and dwell loss of a batch at uniformly drawn timesteps.
 
@@ -240,14 +240,14 @@ def loss_of(
     Choi et al., "MoTDiff", arXiv 2510.26173, equations 6 to 8: pixels are dropped before noising, the target is whole.
     """
     device = batch.x0.device
-    size, pitch = len(batch.x0), batch.x0.shape[-1] // _FIELD_PX
+    size, pitch = len(batch.x0), batch.x0.shape[-1] // PSF_PX
     t = torch.randint(schedule.steps, (size,), generator=generator, device=device)
     signal = to_signal(stochastic_trajectory_pixel_dropout(batch.x0, loss.stpd, generator))
     noise = torch.randn(signal.shape, generator=generator, device=device)
     physics = _blanked(batch.physics, physics_dropout, generator)
     # paths are centred: windows near the middle see them oftener
     spread = torch.rand(2, 2, generator=generator, device=device).mean(dim=0)
-    row, column = (int(share * (_FIELD_PX - window) + 0.5) for share in spread.tolist())
+    row, column = (int(share * (PSF_PX - window) + 0.5) for share in spread.tolist())
     rows, columns = (slice(pitch * first, pitch * (first + window)) for first in (row, column))
     part = (..., rows, columns)
     x0, dwell_map = batch.x0[part], batch.dwell[part]

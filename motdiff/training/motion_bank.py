@@ -16,12 +16,11 @@ from torch import Tensor
 from motdiff.gyro import GyroTrace
 from motdiff.gyro_tables import read_gyro
 from motdiff.motions import boracchi_foi, quadratic, random_gyro_motion, random_straight
+from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX, PSF_PX
 from motdiff.trajectory import Trajectory
 
-__all__ = ["MAP_PX", "PSF_PX", "MotionBank", "MotionMix", "build_bank", "draw_motion", "drawn_kinds", "dwell_on_map"]
+__all__ = ["MotionBank", "MotionMix", "build_bank", "draw_motion", "drawn_kinds", "dwell_on_map"]
 
-PSF_PX = 64
-MAP_PX = 256
 _KINDS = ("boracchi_foi", "boracchi_foi_short", "gyro", "straight", "quadratic")  # in the order of the shares
 _TRIES = 100
 _CHUNK = 200
@@ -196,7 +195,7 @@ def dwell_on_map(motion: Trajectory, hr_map: NDArray[np.uint8]) -> NDArray[np.fl
     rows, columns = np.nonzero(hr_map)
     points = np.column_stack([columns, rows])
     times = (np.arange(_TIMES) + 0.5) / _TIMES
-    _, nearest = KDTree(points).query(129.5 + 4 * motion.at(times))
+    _, nearest = KDTree(points).query(MAP_CENTRE + MAP_PITCH * motion.at(times))
     spent = np.bincount(nearest, minlength=len(points)) * (len(points) / _TIMES)
     return np.asarray(spent, dtype=np.float64)
 

@@ -11,9 +11,11 @@ import torch
 from torch import Tensor
 
 from motdiff.inputs import regular_file
+from motdiff.network.condition import PHOTO_PX
 from motdiff.outputs import new_file
-from motdiff.training.motion_bank import MAP_PX, MotionMix, build_bank
-from motdiff.training.samples import PHOTO_PX, Samples, simulate
+from motdiff.psf_frame import MAP_PX
+from motdiff.training.motion_bank import MotionMix, build_bank
+from motdiff.training.samples import Samples, simulate
 from motdiff.training.simulation import Photography
 
 __all__ = ["SHARD_SAMPLES", "prepare", "read_shards"]

@@ -16,6 +16,7 @@ import torch
 
 from motdiff.conditions import QUICK_STARTS
 from motdiff.metrics import mnc
+from motdiff.network.condition import PHOTO_PX
 from motdiff.sampling import psfs_of_maps
 from motdiff.training.config import TrainingConfig
 from motdiff.training.data import Batch, BatchSource, LiveSource, PreparedSource, seed_of
@@ -24,7 +25,6 @@ from motdiff.training.loop import Trainer
 from motdiff.training.motion_bank import build_bank
 from motdiff.training.photos import load_photos, split_photos
 from motdiff.training.prepared import read_shards
-from motdiff.training.samples import PHOTO_PX
 from motdiff.training.targets import drawn_psfs
 
 __all__ = ["Pace", "Sources", "make_sources", "train", "validation_mnc"]

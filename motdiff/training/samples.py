@@ -10,13 +10,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from motdiff.conditions import quick_kernels
+from motdiff.network.condition import PHOTO_PX
+from motdiff.psf_frame import MAP_PITCH, PSF_PX
 from motdiff.training.motion_bank import MotionBank
 from motdiff.training.photos import crops
 from motdiff.training.simulation import Photography, photographed
 
-__all__ = ["PHOTO_PX", "Samples", "registration", "shifted", "simulate"]
+__all__ = ["Samples", "registration", "shifted", "simulate"]
 
-PHOTO_PX = 256
 _KERNEL_BATCH = 8  # on a CPU larger ones fall out of the cache
 _REACH_MAP_PX = 32
 _ALIKE = 0.6  # below, the kernel is lost and says nothing about where the path should lie
@@ -77,7 +78,7 @@ def simulate(
     size = PHOTO_PX + photography.margin
     sharp = crops(scenes, count=len(index), size=size, generator=on_cpu)
     photos, sigma = photographed(sharp, psfs, photography=photography, generator=on_device)
-    kernels = photos.new_zeros(len(index), 0, 64, 64)
+    kernels = photos.new_zeros(len(index), 0, PSF_PX, PSF_PX)
     if physics:
         grey = photos.mean(dim=1, keepdim=True)
         step = _KERNEL_BATCH if device.type == "cpu" else len(index)
@@ -109,7 +110,7 @@ def registration(kernels: Tensor, dwell: Tensor) -> Tensor:
     """
     if kernels.shape[1] == 0:
         return torch.zeros(len(dwell), 2, dtype=torch.int64, device=dwell.device)
-    fine = functional.interpolate(kernels, scale_factor=4, mode="nearest")
+    fine = functional.interpolate(kernels, scale_factor=MAP_PITCH, mode="nearest")
     fine = functional.avg_pool2d(fine, 5, 1, 2)
     truth = functional.avg_pool2d(functional.avg_pool2d(dwell, 3, 1, 1), 5, 1, 2)
     spectrum = torch.fft.rfft2(fine) * torch.fft.rfft2(truth).conj()

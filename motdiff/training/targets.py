@@ -7,12 +7,12 @@ from torch import Tensor
 
 from motdiff.diffusion import Schedule
 from motdiff.network import MotDiffNetwork, PathNetwork
+from motdiff.psf_frame import PSF_PX
 from motdiff.sampling import psf_signals, psfs_of_maps, psfs_of_signals, sample_paths
 from motdiff.training.data import Batch
 
 __all__ = ["drawn_psfs", "path_loss", "path_psfs", "psf_batch"]
 
-_PSF_PX = 64
 _POINTS = 64
 _HAT_VARIANCE_PX2 = 1 / 6  # of the bilinear hat through which PSFs see the path
 _BLURS_PX = (0.6, 1.8, 5.0)  # the sharpest is nearly MNC; the others pull from farther away
@@ -39,7 +39,7 @@ def path_psfs(coefficients: Tensor, centre_px: Tensor, *, variance_px2: float) -
     tau = (torch.arange(_POINTS, device=coefficients.device, dtype=coefficients.dtype) + 0.5) / _POINTS - 0.5
     shapes = torch.stack([tau, tau.square() - 1 / 12])  # (2, N)
     points = torch.einsum("sn,bsx->bxn", shapes, coefficients) + centre_px[..., None]
-    at = torch.arange(_PSF_PX, device=tau.device, dtype=tau.dtype) - _PSF_PX // 2
+    at = torch.arange(PSF_PX, device=tau.device, dtype=tau.dtype) - PSF_PX // 2
     dots = torch.exp(-(at[:, None] - points[:, :, None, :]).square() / (2 * variance_px2))  # (B, 2, 64, N)
     return dots[:, 1] @ dots[:, 0].transpose(1, 2)
 
@@ -60,7 +60,7 @@ def path_loss(coefficients: Tensor, dwell: Tensor) -> Tensor:
     () tensor
     """
     truth = psfs_of_maps(dwell[:, 0])
-    at = torch.arange(_PSF_PX, device=truth.device, dtype=truth.dtype) - _PSF_PX // 2
+    at = torch.arange(PSF_PX, device=truth.device, dtype=truth.dtype) - PSF_PX // 2
     centre_px = torch.stack([truth.sum(dim=1) @ at, truth.sum(dim=2) @ at], dim=1)
     losses = []
     for blur_px in _BLURS_PX:
@@ -94,7 +94,7 @@ def drawn_psfs(
 
 def _most_alike(first: Tensor, second: Tensor) -> Tensor:
     """Mean over the batch of the greatest normalised correlation over whole-pixel shifts."""
-    frame = (2 * _PSF_PX, 2 * _PSF_PX)
+    frame = (2 * PSF_PX, 2 * PSF_PX)
     spectrum = torch.fft.rfft2(first, s=frame) * torch.fft.rfft2(second, s=frame).conj()
     peaks = torch.fft.irfft2(spectrum, s=frame).flatten(1).amax(dim=1)
     norms = first.flatten(1).norm(dim=1) * second.flatten(1).norm(dim=1)

@@ -17,7 +17,7 @@ from cep.bench.coded import designs, motions, protocol
 from cep.bench.coded.calibrated import estimate_motion
 from cep.bench.coded.designs import DESIGNS, Known, designed
 from cep.bench.coded.motions import drawn_motions
-from cep.bench.coded.paths import PSF_PX, paths_from, paths_to
+from cep.bench.coded.paths import paths_from, paths_to
 from cep.bench.coded.protocol import CodedProtocol, coded_protocol
 from cep.bench.coded.report import OUTPUTS, write_coded_report
 from cep.bench.coded.run import CodedTable, Shot, measure_coded
@@ -31,6 +31,7 @@ from cep.images import write_image
 from cep.mtf import measure
 from cep.restore.wiener import wiener
 from motdiff.estimators.base import MotionEstimate
+from motdiff.psf_frame import PSF_PX
 from motdiff.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
 

@@ -6,7 +6,6 @@ import torch
 from scipy import signal
 
 from motdiff.conditions import (
-    GRID_PX,
     QUICK_STARTS,
     QuickStart,
     autocorrelation,
@@ -15,10 +14,11 @@ from motdiff.conditions import (
     spectral_maps,
 )
 from motdiff.metrics import mnc
+from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
-ZERO = GRID_PX // 2
+ZERO = PSF_PX // 2
 
 
 @pytest.fixture(autouse=True, scope="module")

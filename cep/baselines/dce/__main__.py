@@ -59,7 +59,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 def _train(given: argparse.Namespace) -> None:
     from cep.baselines.dce.samples import Samples, motion_mix
     from cep.baselines.dce.training import START, Settings, Trainer, train
-    from motdiff.training.motion_bank import PSF_PX
+    from motdiff.psf_frame import PSF_PX
     from motdiff.training.photos import load_photos
 
     settings = Settings(start=given.start or START, seed=given.seed)

@@ -16,8 +16,9 @@ from cep.exposure import coded_psf
 from cep.restore.wiener import wiener
 from motdiff.gyro_tables import read_gyro
 from motdiff.metrics import psnr
+from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import add_noise, blur_valid, to_linear, valid_window
-from motdiff.training.motion_bank import PSF_PX, MotionMix, draw_motion
+from motdiff.training.motion_bank import MotionMix, draw_motion
 from motdiff.training.photos import load_photos
 
 __all__ = ["EvaluationRow", "evaluate", "scenes_of"]

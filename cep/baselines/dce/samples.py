@@ -12,8 +12,9 @@ from torch import Tensor
 
 from cep.exposure import chip_psfs
 from motdiff.gyro_tables import read_gyro
+from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import to_linear, valid_window
-from motdiff.training.motion_bank import PSF_PX, MotionMix, draw_motion
+from motdiff.training.motion_bank import MotionMix, draw_motion
 from motdiff.training.photos import crops
 
 __all__ = ["SIGMA_MAX", "Batch", "Samples", "motion_mix"]

@@ -16,8 +16,9 @@ from cep.plots.canvas import new_figure, show_inset, show_photo
 from motdiff.crops import luminance
 from motdiff.evaluation.measure import restored
 from motdiff.evaluation.sets import levin_photo
-from motdiff.metrics import register_shift
+from motdiff.metrics import laid_on
 from motdiff.parallel import one_thread
+from motdiff.psf_frame import in_frame
 from motdiff.simulate import to_linear
 
 if TYPE_CHECKING:
@@ -30,7 +31,6 @@ FloatArray = NDArray[np.float64]
 
 _TILE_IN = 1.7
 _INSET = 0.34
-_FRAME_PX = 64
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def blind_figure(lines: Sequence[Shown], methods: Sequence[str]) -> Figure:
             if method in line.kernels:
                 psf = line.kernels[method]
                 if line.truth is not None:
-                    psf = _moved(psf, *(round(d) for d in register_shift(line.truth, psf)))
+                    psf = laid_on(line.truth, psf)
                 with one_thread():
                     show_photo(axes, _light(restored(luminance(line.blurred), psf), line.gamma))
                 axes.set_axis_on()
@@ -158,16 +158,6 @@ def _score(result: Result) -> str:
     return ", ".join(texts if psnr_db is None else [*texts, f"{psnr_db:.1f} dB"])
 
 
-def _moved(psf: FloatArray, dx: int, dy: int) -> FloatArray:
-    """Move by whole pixels into a frame that loses nothing."""
-    room = max(abs(dx), abs(dy))
-    return np.roll(np.pad(psf, room), (dy, dx), axis=(0, 1))
-
-
 def _inset(axes: Axes, psf: FloatArray) -> None:
     """Draw the middle of a kernel, by the square root that shows faint parts, in the upper left corner."""
-    room = max(0, _FRAME_PX - len(psf) + 1) // 2
-    wide = np.pad(psf, room)
-    first = len(wide) // 2 - _FRAME_PX // 2
-    framed = wide[first : first + _FRAME_PX, first : first + _FRAME_PX]
-    show_inset(axes, framed, share=_INSET, cmap="gray")
+    show_inset(axes, in_frame(psf), share=_INSET, cmap="gray")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from motdiff.inputs import one_line, read_toml
+from motdiff.psf_frame import PSF_PX
 
 __all__ = ["NAMES", "Motions", "Protocol"]
 
@@ -83,7 +84,7 @@ class Protocol:
     photos: int
     motions: int
     crop_px: int = 256
-    psf_px: int = 64
+    psf_px: int = PSF_PX
     real_photos: int = 100
     borders: Literal["symmetric", "real"] = "symmetric"
     gamma: Literal["linear", "srgb"] = "linear"
@@ -98,7 +99,7 @@ class Protocol:
             ("motions", 1, 10_000),
             ("real_photos", 1, 100_000),
             ("crop_px", 64, 4096),
-            ("psf_px", 8, 64),
+            ("psf_px", 8, PSF_PX),
             ("seed", 0, 2**31),
         ):
             if not low <= getattr(self, name) <= high:

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.bench.coded.exposed import exposed
-from cep.bench.coded.paths import PSF_PX, paths_from, paths_to
+from cep.bench.coded.paths import paths_from, paths_to
 from cep.camera import Camera
 from motdiff.metrics import mnc_subpixel
+from motdiff.psf_frame import PSF_PX
 
 __all__ = ["estimate_motion"]
 
@@ -50,6 +51,6 @@ def estimate_motion(
     found = estimate.trajectories[0]
     return {
         "paths": paths_to(estimate.trajectories, estimate.weights),
-        "mnc": mnc_subpixel(found.psf(max(PSF_PX, found.frame_size())), truth.psf(PSF_PX)),
+        "mnc": mnc_subpixel(found.psf(found.frame_size(PSF_PX)), truth.psf(PSF_PX)),
         "cpu_s": seconds,
     }

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cep.bench.coded.paths import PSF_PX
 from cep.bench.coded.protocol import CodedProtocol
 from motdiff.motions import boracchi_foi, quadratic, random_straight
+from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
 __all__ = ["drawn_motions"]

@@ -9,10 +9,7 @@ import numpy as np
 
 from motdiff.trajectory import Trajectory
 
-__all__ = ["PSF_PX", "paths_from", "paths_to"]
-
-PSF_PX = 64
-"""Side of the frame that every true motion fits."""
+__all__ = ["paths_from", "paths_to"]
 
 
 def paths_to(paths: Sequence[Trajectory], weights: Sequence[float]) -> str:

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.coded.designs import DESIGNS
-from cep.bench.coded.paths import PSF_PX, paths_from
+from cep.bench.coded.paths import paths_from
 from cep.bench.coded.work import pictures_of
 from cep.code import ShutterCode
 from cep.plots.canvas import new_figure, show_inset, show_photo
 from cep.plots.codes import mtf_curve
+from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import to_linear
 
 if TYPE_CHECKING:

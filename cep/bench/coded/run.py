@@ -13,13 +13,14 @@ from cep.bench.cells import Cell, Figure
 from cep.bench.coded.chosen import choose_code
 from cep.bench.coded.designs import DESIGNS
 from cep.bench.coded.motions import drawn_motions
-from cep.bench.coded.paths import PSF_PX, paths_to
+from cep.bench.coded.paths import paths_to
 from cep.bench.coded.protocol import CodedProtocol
 from cep.bench.coded.told import ESTIMATORS, Estimates, assumed_path, kinds_needed, told
 from cep.bench.coded.versions import code_version, motion_version, photo_version
 from cep.bench.coded.work import motion_of, photo_of
 from cep.bench.engine import Outcome, run_cells
 from cep.bench.scenes import Cut
+from motdiff.psf_frame import PSF_PX
 
 __all__ = ["CodedTable", "Shot", "measure_coded", "scene_px"]
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from cep.bench.coded.exposed import exposed
-from cep.bench.coded.paths import PSF_PX, paths_from
+from cep.bench.coded.paths import paths_from
 from cep.camera import Camera, visible
 from cep.code import ShutterCode
 from cep.exposure import coded_psf
@@ -20,6 +20,7 @@ from cep.mtf import CodeMetrics, measure
 from cep.restore import restore
 from cep.restore.direction import test_directions
 from motdiff.metrics import psnr_ssim_up_to_shift
+from motdiff.psf_frame import PSF_PX, moved
 from motdiff.trajectory import Trajectory
 
 __all__ = ["Taken", "photographed", "take_photo"]
@@ -108,7 +109,7 @@ def photographed(
     # start, the same PSF elsewhere. Restored with it, the scene is as good and merely displaced.
     away_px = _displacement_px(found, psf)
     whole_px = np.round(away_px).astype(int)
-    used = scale * _moved(found, whole_px)
+    used = scale * moved(found, down_px=whole_px[0], right_px=whole_px[1])
     told: dict[str, Any] = {"camera": sensor} if restoration == "wiener" else {}
     restored = restore(photo, used, method=restoration, border_rounds=border_rounds, **told).image
     if (rest_px := whole_px - away_px).any():
@@ -123,12 +124,7 @@ def _displacement_px(psf: FloatArray, other: FloatArray) -> FloatArray:
     return np.asarray(of_other - of_one, dtype=np.float64)
 
 
-def _moved(psf: FloatArray, by_px: NDArray[np.int_]) -> FloatArray:
-    """Move a PSF by whole pixels, in a frame that holds it."""
-    return np.roll(np.pad(psf, int(np.abs(by_px).max())), by_px, axis=(0, 1))
-
-
 def _assumed_psf(photo: FloatArray, path: Trajectory, code: ShutterCode) -> FloatArray:
     if path.direction == "known" or code.bits == code.bits[::-1]:
-        return coded_psf(path, code, max(PSF_PX, path.frame_size()))
+        return coded_psf(path, code, path.frame_size(PSF_PX))
     return test_directions(photo, path, code, size=PSF_PX).psf

@@ -14,6 +14,7 @@ from motdiff.conditions import QUICK_STARTS, display_photo, physics_maps, quick_
 from motdiff.diffusion import cosine_schedule
 from motdiff.grids import inverse_symmetry, mirrored
 from motdiff.network import MotDiffNetwork
+from motdiff.network.condition import PHOTO_PX
 from motdiff.parallel import side_by_side
 from motdiff.sampling import sample_paths
 
@@ -21,7 +22,6 @@ __all__ = ["draw_psfs", "searched_quickly"]
 
 FloatArray = NDArray[np.float64]
 
-_PHOTO_PX = 256
 _SYMMETRIES = 8  # of the square
 
 
@@ -110,10 +110,10 @@ def searched_quickly(crops: FloatArray, *, sigma: float) -> FloatArray:
 def _photo(crops: Tensor) -> Tensor:
     """Display values (1, 3, 256, 256) of the best crop: its middle, or mirrored outwards where it is smaller."""
     best = crops[:, :1]
-    missing = [max(0, _PHOTO_PX - n) for n in best.shape[-2:]]
+    missing = [max(0, PHOTO_PX - n) for n in best.shape[-2:]]
     while any(missing):
         pads = [min(m, n - 1) for m, n in zip(missing, best.shape[-2:], strict=True)]
         best = functional.pad(best, (0, pads[1], 0, pads[0]), mode="reflect")
-        missing = [max(0, _PHOTO_PX - n) for n in best.shape[-2:]]
-    top, left = ((n - _PHOTO_PX) // 2 for n in best.shape[-2:])
-    return display_photo(best[..., top : top + _PHOTO_PX, left : left + _PHOTO_PX])
+        missing = [max(0, PHOTO_PX - n) for n in best.shape[-2:]]
+    top, left = ((n - PHOTO_PX) // 2 for n in best.shape[-2:])
+    return display_photo(best[..., top : top + PHOTO_PX, left : left + PHOTO_PX])

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from motdiff.conditions import GRID_PX, QUICK_STARTS, quick_kernels
+from motdiff.conditions import QUICK_STARTS, quick_kernels
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.blind import Found, estimate_blind
 from motdiff.estimators.judge import Judge, noise_sigma
@@ -20,15 +20,17 @@ from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import refined
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.parallel import side_by_side
+from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.weights import load_network
 
 __all__ = ["MotDiffEstimator"]
 
 FloatArray = NDArray[np.float64]
 
+_ODD_PX = PSF_PX - 1
 _REFINED = 3
 _SAME_MNC = 0.95
-_DUST = 0.02  # of the peak: a network's doubt off the path, never quite 0, is no light
+_DOUBT = 0.02  # share of the peak: off the path a network's output is never quite 0
 # of the full search's starts, those that stand for the quick ones the network was trained with; the first two agreeing,
 # the larger one stands for the one not run as well
 _TOLD_OF_ALL, _TOLD_OF_TWO = (2, 0, 1), (1, 0, 1)
@@ -68,8 +70,8 @@ class MotDiffEstimator:
     models", arXiv 2510.26173. Physics maps, judgement and refinement are ours.
     """
 
-    largest_px = 63
-    smallest_px = 64  # of the lag maps
+    largest_px = _ODD_PX
+    smallest_px = PSF_PX  # of the lag maps
 
     def __init__(
         self,
@@ -143,17 +145,13 @@ class MotDiffEstimator:
             quick = searched_quickly(crops, sigma=sigma)
             return quick, quick
         found = PmpEstimator(progress=lambda share: self._progress(0.7 * share)).kernels(crops)
-        framed = np.zeros((len(found), GRID_PX, GRID_PX))
-        for frame, kernel in zip(framed, found, strict=True):
-            low = GRID_PX // 2 - len(kernel) // 2
-            frame[low : low + len(kernel), low : low + len(kernel)] = kernel
+        framed = np.stack([in_frame(kernel) for kernel in found])
         return framed, framed[list(_TOLD_OF_ALL if len(found) > 2 else _TOLD_OF_TWO)]
 
 
 def _in_odd_frames(psfs: FloatArray) -> list[FloatArray]:
     """Cut PSFs (N, 64, 64) to odd frames of 63 px, exactly 0 off the path, sum 1."""
-    odd = psfs[:, 1:, 1:]
-    odd = np.where(odd < _DUST * odd.max(axis=(1, 2), keepdims=True), 0.0, odd)
+    odd = without_faint_light(in_frame(psfs, _ODD_PX), below=_DOUBT)
     return list(odd / odd.sum(axis=(1, 2), keepdims=True))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from motdiff.crops import luminance, pick_crops
+from motdiff.crops import best_crops, textured_luminance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.selfdeblur.config import SelfDeblurConfig
 from motdiff.estimators.selfdeblur.fit import JointFit
@@ -20,7 +20,6 @@ from motdiff.estimators.unjudged import unjudged_estimate
 
 __all__ = ["SelfDeblurEstimator"]
 
-_CROP_PX = 256
 _LEAST_PX = 32
 _SAVED_EVERY_S = 60.0
 _FITTING = tuple(
@@ -79,7 +78,7 @@ class SelfDeblurEstimator:
             If a checkpoint cannot be written.
         """
         began_s, earlier_s = time.process_time(), 0.0
-        window = _window(luminance(photo))
+        window = best_crops(textured_luminance(photo, least_px=_LEAST_PX), count=1)[0]
         fit = JointFit(torch.from_numpy(window.astype(np.float32)).to(self._device), self._config)
         folder = self._folder(window)
         if folder is not None:
@@ -118,15 +117,3 @@ def _code_version() -> str:
     for path in _FITTING:
         what.update(path.read_bytes())
     return what.hexdigest()
-
-
-def _window(grey: NDArray[np.float64]) -> NDArray[np.float64]:
-    if min(grey.shape) < _LEAST_PX:
-        raise ValueError(f"photo: needs at least {_LEAST_PX} x {_LEAST_PX} px, got {grey.shape[1]} x {grey.shape[0]}")
-    if np.ptp(grey) == 0:
-        raise ValueError("photo: is constant; motion shows only where the scene has texture")
-    if max(grey.shape) <= 1.25 * _CROP_PX:
-        return grey
-    size = min(_CROP_PX, *grey.shape)
-    ((row, column),) = pick_crops(grey, size=size, count=1)
-    return grey[row : row + size, column : column + size]
