@@ -34,7 +34,7 @@ from motdiff.gyro_tables import read_gyro
 from motdiff.metrics import mnc, mnc_subpixel, psnr_up_to_shift
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.psf_frame import PSF_PX
-from motdiff.simulate import blur_valid, valid_window
+from motdiff.simulate import photograph
 
 PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
 
@@ -145,9 +145,7 @@ def shaken(
                 break
         psf = motion.psf(65)
         grey = sharp.mean(axis=2) if sharp.ndim == 3 else sharp
-        blurred = blur_valid(grey, psf)
-        assert blurred.shape == grey[valid_window(grey.shape, psf.shape)].shape
-        yield kind, np.clip(blurred + rng.normal(0, sigma, blurred.shape), 0, 1), psf
+        yield kind, photograph(grey, psf, rng=rng, read_sigma=sigma), psf
 
 
 def photos(folder: Path, out: Path, gamma: str, estimator: Estimator) -> None:

@@ -19,7 +19,7 @@ from collections.abc import Callable
 import numpy as np
 from skimage import data
 
-from cep.camera import Camera, capture, visible
+from cep.camera import Camera, capture
 from cep.code import ShutterCode
 from cep.exposure import coded_psf
 from cep.restore import compare_psfs, wiener
@@ -28,6 +28,7 @@ from cep.search.problem import SearchProblem, open_range_of_duty
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
 from motdiff.motions import boracchi_foi
 from motdiff.psf_frame import PSF_PX
+from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 
 SCENES = ("camera", "astronaut", "coffee", "chelsea", "rocket", "moon", "brick", "coins", "page", "clock")

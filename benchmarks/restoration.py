@@ -20,13 +20,14 @@ from cep.bench.coded.motions import drawn_motions
 from cep.bench.coded.protocol import coded_protocol
 from cep.bench.photos import crop, photo_folder, pick
 from cep.bench.statistics import mean_interval
-from cep.camera import capture, visible
+from cep.camera import capture
 from cep.code import ShutterCode
 from cep.exposure import coded_psf
 from cep.restore import METHODS
 from motdiff.crops import luminance
 from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift
 from motdiff.psf_frame import PSF_PX
+from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 
 PROTOCOL = coded_protocol("ours")

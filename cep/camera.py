@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from cep.outputs import write_text
 from motdiff.inputs import one_line, read_json, read_toml
-from motdiff.simulate import add_noise, blur_valid, to_display, to_linear, valid_window
+from motdiff.simulate import add_noise, photograph, to_display, to_linear
 
-__all__ = ["SCHEMA", "Camera", "capture", "visible"]
+__all__ = ["SCHEMA", "Camera", "capture"]
 
 FloatArray = NDArray[np.float64]
 SCHEMA = "cep.camera/1"
@@ -78,6 +78,12 @@ class Camera:
 
     # -- noise --------------------------------------------------------------------------------------------------
 
+    @property
+    def noise(self) -> dict[str, float]:
+        """Photon and read noise, as :func:`motdiff.simulate.add_noise` takes them."""
+        read_sigma = self.read_noise_e / self.photons_full_scale
+        return {"photons_full_scale": self.photons_full_scale, "read_sigma": read_sigma}
+
     def noise_variance(self, signal: ArrayLike) -> FloatArray:
         """Variance of a pixel whose mean is ``signal``: shot + read + quantisation, in full-scale units squared.
 
@@ -91,9 +97,8 @@ class Camera:
         """
         light = np.clip(np.asarray(signal, dtype=np.float64), 0.0, 1.0)
         shot = light / self.photons_full_scale
-        read = (self.read_noise_e / self.photons_full_scale) ** 2
         step = self._code_slope(light) / (2**self.bits - 1)
-        return np.asarray(shot + read + step**2 / 12, dtype=np.float64)
+        return np.asarray(shot + self.noise["read_sigma"] ** 2 + step**2 / 12, dtype=np.float64)
 
     def expose(self, light: ArrayLike, *, rng: np.random.Generator) -> FloatArray:
         """Record ``light``: Poisson shot noise, Gaussian read noise, clipping, rounding to code values.
@@ -107,9 +112,8 @@ class Camera:
         -------
         (...) float ndarray, linear light ``-black_level``..1, on the camera's code values.
         """
-        sigma = self.read_noise_e / self.photons_full_scale
         clean = np.maximum(np.asarray(light, dtype=np.float64), 0.0)
-        return self.quantise(add_noise(clean, rng, photons_full_scale=self.photons_full_scale, read_sigma=sigma))
+        return self.quantise(add_noise(clean, rng, **self.noise))
 
     def quantise(self, light: ArrayLike) -> FloatArray:
         """Clip (...) linear light to ``-black_level``..1 and round it to the nearest code value."""
@@ -183,7 +187,9 @@ class Camera:
         return np.where(code <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((code + 0.055) / 1.055) ** 1.4)
 
 
-def capture(scene: ArrayLike, psf: ArrayLike, camera: Camera, *, rng: np.random.Generator) -> FloatArray:
+def capture(
+    scene: ArrayLike, psf: ArrayLike, camera: Camera, *, rng: np.random.Generator, borders: str = "real"
+) -> FloatArray:
     """Take the photo that ``camera`` would take of ``scene`` while it moves along a path.
 
     Parameters
@@ -194,11 +200,13 @@ def capture(scene: ArrayLike, psf: ArrayLike, camera: Camera, *, rng: np.random.
         Light-true PSF: it sums to the open fraction of the exposure, so a coded photo is darker.
     camera : Camera
     rng : numpy Generator
+    borders : {"real", "symmetric"}
+        As of :func:`motdiff.simulate.photograph`, which takes the photo.
 
     Returns
     -------
-    (H - S + 1, W - S + 1[, 3]) float ndarray, linear light 0..1
-        Its borders are real: light comes in from the scene outside the frame. It shows ``visible(scene, S)``.
+    (H - S + 1, W - S + 1[, 3]) float ndarray, linear light 0..1, or with symmetric borders of the scene's shape
+        It shows :func:`motdiff.simulate.visible` of the scene.
 
     Raises
     ------
@@ -214,13 +222,7 @@ def capture(scene: ArrayLike, psf: ArrayLike, camera: Camera, *, rng: np.random.
         raise ValueError(
             f"scene: {light.shape[1]} x {light.shape[0]} px is smaller than the PSF frame of {kernel.shape[0]} px"
         )
-    return camera.expose(blur_valid(light, kernel), rng=rng)
-
-
-def visible(scene: ArrayLike, psf_size: int) -> FloatArray:
-    """Part of ``scene`` (H, W[, 3]) that a photo through a PSF frame of ``psf_size`` px shows, pixel for pixel."""
-    light = np.asarray(scene, dtype=np.float64)
-    return light[valid_window(light.shape, (psf_size, psf_size))]
+    return photograph(light, kernel, rng=rng, borders=borders, record=camera.quantise, **camera.noise)
 
 
 def _suffix(path: Path | str) -> str:

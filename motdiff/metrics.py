@@ -12,6 +12,7 @@ from motdiff.psf_frame import moved
 from motdiff.trajectory import Trajectory
 
 __all__ = [
+    "SAME_KERNEL_MNC",
     "laid_on",
     "mnc",
     "mnc_matrix",
@@ -26,6 +27,8 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.float64]
+SAME_KERNEL_MNC = 0.95
+"""Estimates of one photo's kernel count as the same from this sub-pixel MNC on, docs/decisions/network.md."""
 _SUBPIXEL_STEP_PX = 0.05
 
 

@@ -1,16 +1,28 @@
-"""Simulated photographs: blur with real borders, photon and read noise, display gamma."""
+"""Simulated photographs: blur with real or mirrored borders, photon and read noise, display gamma."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
-__all__ = ["add_noise", "blur_symmetric", "blur_valid", "photograph", "to_display", "to_linear", "valid_window"]
+__all__ = [
+    "add_noise",
+    "blur_symmetric",
+    "blur_valid",
+    "border_px",
+    "photograph",
+    "to_display",
+    "to_linear",
+    "valid_window",
+    "visible",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -119,39 +131,53 @@ def add_noise(
 
 
 def photograph(
-    sharp: ArrayLike,
+    scene: ArrayLike,
     motion: Trajectory | ArrayLike,
     *,
     rng: np.random.Generator,
+    borders: str = "real",
     photons_full_scale: float | None = None,
     read_sigma: float = 0.01,
-    bits: int | None = None,
+    record: Callable[[FloatArray], FloatArray] | None = None,
 ) -> FloatArray:
-    """Take the photo of ``sharp`` that a moving camera would: blur with real borders, noise, clipping, quantising.
+    """Take the blurred photo of a scene: every simulated photo but those of training, batched in torch, is taken here.
 
     Parameters
     ----------
-    sharp : (H, W) or (H, W, C) array_like, linear light 0..1
+    scene : (H, W) or (H, W, C) array_like, linear light 0..1
     motion : Trajectory or (S, S) PSF
-        A trajectory is drawn in the smallest odd frame that holds it.
+        A trajectory is drawn in the smallest odd frame that holds it; a coded exposure comes as its light-true PSF.
     rng : numpy.random.Generator
+    borders : {"real", "symmetric"}
+        Light comes from beyond the photo, as :func:`blur_valid`, or is mirrored there, as :func:`blur_symmetric`.
     photons_full_scale, read_sigma : as :func:`add_noise`
-    bits : int, optional
-        Depth of the converter; not quantised when omitted.
+    record : callable, optional
+        From noisy light to what is recorded, such as a converter's rounding; clipping to 0..1 when omitted.
 
     Returns
     -------
-    (h, w[, C]) float64, 0..1, smaller than ``sharp`` by the PSF's size less 1.
+    (h, w[, C]) float64 that shows ``visible(scene, S, borders=borders)``.
+
+    Raises
+    ------
+    ValueError
+        If an argument is malformed, or the PSF larger than the scene.
     """
     psf = motion.psf(motion.frame_size() | 1) if isinstance(motion, Trajectory) else np.asarray(motion, np.float64)
-    photo = add_noise(blur_valid(sharp, psf), rng, photons_full_scale=photons_full_scale, read_sigma=read_sigma)
-    photo = np.clip(photo, 0, 1)
-    if bits is None:
-        return photo
-    if not 1 <= bits <= 32:
-        raise ValueError(f"bits: must lie within 1..32, got {bits}")
-    levels = 2.0**bits - 1
-    return np.asarray(np.rint(photo * levels) / levels, dtype=np.float64)
+    blurred = blur_valid(scene, psf) if _are_real(borders) else blur_symmetric(scene, psf)
+    light = add_noise(blurred, rng, photons_full_scale=photons_full_scale, read_sigma=read_sigma)
+    return np.clip(light, 0, 1) if record is None else record(light)
+
+
+def visible(scene: ArrayLike, psf_px: int, *, borders: str = "real") -> FloatArray:
+    """Part of ``scene`` (H, W[, C]) that a photo of it through a PSF frame of ``psf_px`` shows, pixel for pixel."""
+    light = np.asarray(scene, dtype=np.float64)
+    return light[valid_window(light.shape, (psf_px, psf_px))] if _are_real(borders) else light
+
+
+def border_px(borders: str, psf_px: int = PSF_PX) -> int:
+    """Pixels that a scene must have more than its photo, on both axes, for a PSF frame of ``psf_px``."""
+    return psf_px - 1 if _are_real(borders) else 0
 
 
 def to_display(linear: ArrayLike, *, gamma: float | None = None) -> FloatArray:
@@ -186,6 +212,12 @@ def to_linear(display: ArrayLike, *, gamma: float | None = None) -> FloatArray:
         return np.copysign(size ** _checked_gamma(gamma), value)
     high = ((np.maximum(size, _SRGB_KNEE_DISPLAY) + 0.055) / 1.055) ** 2.4
     return np.copysign(np.where(size <= _SRGB_KNEE_DISPLAY, size / 12.92, high), value)
+
+
+def _are_real(borders: str) -> bool:
+    if borders not in ("real", "symmetric"):
+        raise ValueError(f'borders: must be "real" or "symmetric", got {borders!r}')
+    return borders == "real"
 
 
 def _checked(sharp: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, FloatArray]:

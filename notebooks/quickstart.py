@@ -23,7 +23,7 @@ import numpy as np
 from IPython.display import Image, display
 
 from cep import plots
-from cep.camera import Camera, capture, visible
+from cep.camera import Camera, capture
 from cep.code import ShutterCode
 from cep.exposure import coded_psf
 from cep.mtf import measure
@@ -33,7 +33,7 @@ from cep.search.problem import SearchProblem
 from motdiff.estimators.reference import ReferenceEstimator
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
 from motdiff.motions import quadratic
-from motdiff.simulate import to_linear
+from motdiff.simulate import to_linear, visible
 
 rng = np.random.default_rng(2)
 

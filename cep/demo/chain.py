@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cep.baselines.compare import BaselineRow, compare
 from cep.calibrate import calibrate, check_texture, make_estimator
-from cep.camera import Camera, capture, visible
+from cep.camera import Camera, capture
 from cep.code import ShutterCode
 from cep.demo.scene import Scene
 from cep.design import check_resolved, expected_psnr_db
@@ -24,6 +24,7 @@ from cep.search.problem import SearchProblem, open_range_of_duty
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.metrics import psnr_up_to_shift
+from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 
 __all__ = ["LIGHT_LEVELS", "Chain", "Shot", "run_chain"]

@@ -27,7 +27,7 @@ _LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halve
 _LEVELS = 3
 _FAINT = 0.05  # share of the peak: noise of a fitted kernel, docs/decisions/tracing.md
 _SPECK_SHARE = 0.1
-_SAME_MNC = 0.8
+_SAME_MOTION_MNC = 0.8  # less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
 _MOST_MOTIONS = 3
 _LOST = 0.5
 # kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px, six
@@ -156,7 +156,7 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
     found, kernels = level.found, level.found.kernels
     chosen = [found.best]
     for i in np.argsort(-found.probabilities):
-        if len(chosen) < _MOST_MOTIONS and all(mnc_subpixel(kernels[i], kernels[j]) < _SAME_MNC for j in chosen):
+        if len(chosen) < _MOST_MOTIONS and all(mnc_subpixel(kernels[i], kernels[j]) < _SAME_MOTION_MNC for j in chosen):
             chosen.append(int(i))
     trajectories = [simplest_trajectory(without_faint_parts(kernels[i])) for i in chosen]
     if level.factor > 1:

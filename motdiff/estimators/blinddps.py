@@ -26,8 +26,8 @@ from torch import Tensor
 
 from motdiff.crops import luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.selfdeblur.convolution import blurred_valid
 from motdiff.estimators.unjudged import unjudged_estimate
+from motdiff.training.simulation import blurred
 
 __all__ = ["BlindDpsEstimator", "Prior", "linear_alpha_bar", "sample_jointly"]
 
@@ -108,8 +108,7 @@ class BlindDpsEstimator:
         window = torch.from_numpy(_window(photo, size, channels).astype(np.float32)).to(image.device)
 
         def residual(image_signal: Tensor, kernel_signal: Tensor) -> Tensor:
-            blurred = blurred_valid(_to_linear((image_signal[0] + 1) / 2), _kernel_of(kernel_signal))
-            return 2 * (window - blurred)
+            return 2 * (window - blurred(_to_linear((image_signal[0] + 1) / 2), _kernel_of(kernel_signal)))
 
         drawn = sample_jointly(
             (image, kernel),

@@ -18,22 +18,9 @@ from scipy import fft, ndimage
 from motdiff.metrics import mnc_matrix
 from motdiff.parallel import side_by_side
 
-__all__ = [
-    "FEATURES",
-    "Judge",
-    "Phase",
-    "Ranking",
-    "Spectrum",
-    "kernel_features",
-    "noise_sigma",
-    "phase_evidence",
-    "rank_kernels",
-    "spectral_fit",
-]
+__all__ = ["Judge", "Phase", "Ranking", "Spectrum", "believed_kernels", "kernel_score", "noise_sigma", "rank_kernels"]
 
 FloatArray = NDArray[np.float64]
-
-FEATURES = ("spectral_fit", "agreement", "phase_evidence", "rim_light")
 
 _TOP = 3  # how many like-minded candidates count as agreement
 _LEAST_SIGMA = 1e-3
@@ -138,11 +125,6 @@ class Spectrum:
         return np.asarray(log_power - self._basis @ (self._basis.T @ log_power), dtype=np.float64)
 
 
-def spectral_fit(photo: FloatArray, kernel: FloatArray, *, sigma: float) -> float:
-    """Correlation of one photo's spectrum with one kernel's: :meth:`Spectrum.fit`."""
-    return Spectrum(photo, sigma=sigma).fit(kernel)
-
-
 class Phase:
     """A photo prepared to tell kernels from their point reflections, which have the same power.
 
@@ -187,11 +169,6 @@ class Phase:
         return float(np.log(norm))
 
 
-def phase_evidence(photo: FloatArray, kernel: FloatArray, *, sigma: float) -> float:
-    """Evidence for one kernel's phase in one photo: :meth:`Phase.evidence`."""
-    return Phase(photo, sigma=sigma).evidence(kernel)
-
-
 class Judge:
     """The crops of a photo, prepared to judge kernels by what the search never looks at.
 
@@ -226,47 +203,64 @@ class Judge:
         return float(fit), float(phase), float(1 - kernel[1:-1, 1:-1].sum() / kernel.sum())
 
 
-def kernel_features(photos: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:
-    """Features (K, len(FEATURES)) of the candidate kernels of one photo.
+# One score for all kernels. Its weights choose the kernel with the highest MNC on average, fitted on simulated motions
+# over training photos (120 photos, 8 or 9 starts each); a fit to drawn kernels is no better, docs/decisions/network.md.
+_EVIDENCE_WEIGHTS, _AGREEMENT_WEIGHT = np.array([0.8, 2.0, -1.0]), 0.4
+# Slope and offset turn the winner's score into the share of winners with a sub-pixel MNC of 0.7 or more. Candidates of
+# classical searches alone and candidates that a network has drawn as well differ in that, so each has its own.
+_SEARCHED, _DRAWN = (8.3, -5.15), (12.5, -8.5)
 
-    Parameters
-    ----------
-    photos : (C, H, W) float
-        Crops that share one blur.
-    kernels : sequence of (k, k) float
-        Candidates; their frames may differ.
 
-    Returns
-    -------
-    (K, F) float: spectral fit, mean MNC (half-pixel shifts) with the candidates most alike, phase evidence, and the
-    share of light on the frame's rim.
+def kernel_score(evidence: FloatArray, agreement: FloatArray | float = 0.0) -> FloatArray:
+    """Quality (K,) of kernels from their :meth:`Judge.evidence` (K, 3) and their agreement (K,) with other candidates.
+
+    Agreement is a mean MNC; leave it out to compare by the photo alone.
     """
-    count = len(kernels)
-    alike = mnc_matrix(kernels)
-    np.fill_diagonal(alike, 0)
-    top = max(min(_TOP, count - 1), 1)
-    agreement = np.sort(alike, axis=1)[:, -top:].mean(axis=1) if count > 1 else np.ones(1)
-    fit, phase, rim = Judge(photos).evidence(kernels).T
-    return np.column_stack([fit, agreement, phase, rim])
-
-
-# Fitted on simulated motions over training photos (120 photos, 8 or 9 starts each): the weights of FEATURES choose the
-# kernel with the highest MNC on average; the slope and offset turn the winner's score into the share of winners with a
-# sub-pixel MNC of 0.7 or more.
-_WEIGHTS = np.array([0.8, 0.4, 2.0, -1.0])
-_SLOPE, _OFFSET = 8.3, -5.15
+    return np.asarray(evidence @ _EVIDENCE_WEIGHTS + _AGREEMENT_WEIGHT * agreement, dtype=np.float64)
 
 
 def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
-    """Choose among candidate kernels of one photo.
+    """Choose among kernels of one photo that classical searches have found; they agree with the three most alike.
 
     Parameters
     ----------
     photos : (C, H, W) float
         Crops that share one blur.
     kernels : sequence of (k, k) float, odd k, sum 1
+        Candidates; their frames may differ.
     """
-    features = kernel_features(photos, kernels)
-    probabilities = 1 / (1 + np.exp(-(_SLOPE * (features @ _WEIGHTS) + _OFFSET)))
+    count = len(kernels)
+    alike = mnc_matrix(kernels)
+    np.fill_diagonal(alike, 0)
+    top = max(min(_TOP, count - 1), 1)
+    agreement = np.sort(alike, axis=1)[:, -top:].mean(axis=1) if count > 1 else np.ones(1)
+    probabilities = _probabilities(kernel_score(Judge(photos).evidence(kernels), agreement), _SEARCHED)
     best = int(np.argmax(probabilities))
-    return Ranking(best, probabilities, float(features[best, FEATURES.index("agreement")]))
+    return Ranking(best, probabilities, float(agreement[best]))
+
+
+def believed_kernels(evidence: FloatArray, alike: FloatArray, *, samples: int, classical: int) -> FloatArray:
+    """Probability (K,) of each of K kernels to be good: first the drawn ones, then the classical ones, then others.
+
+    They agree with the drawn kernels and with the classical ones, itself left out, half each.
+
+    Parameters
+    ----------
+    evidence : (K, 3) float
+        From :meth:`Judge.evidence`.
+    alike : (K, K) float
+        MNC of every pair, see :func:`motdiff.metrics.mnc_matrix`.
+    samples, classical : int
+        How many there are of the first two.
+    """
+    alike = alike * (1 - np.eye(len(alike)))
+    index = np.arange(len(alike))
+    among_samples = alike[:, :samples].sum(axis=1) / np.maximum(samples - (index < samples), 1)
+    is_classical = (index >= samples) & (index < samples + classical)
+    among_classical = alike[:, samples : samples + classical].sum(axis=1) / np.maximum(classical - is_classical, 1)
+    return _probabilities(kernel_score(evidence, (among_samples + among_classical) / 2), _DRAWN)
+
+
+def _probabilities(scores: FloatArray, calibration: tuple[float, float]) -> FloatArray:
+    slope, offset = calibration
+    return np.asarray(1 / (1 + np.exp(-(slope * scores + offset))), dtype=np.float64)

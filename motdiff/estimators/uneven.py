@@ -8,17 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motdiff.crops import uniformity
-from motdiff.estimators.judge import Judge
-from motdiff.metrics import mnc_subpixel
+from motdiff.estimators.judge import Judge, kernel_score
+from motdiff.metrics import SAME_KERNEL_MNC, mnc_subpixel
 from motdiff.psf_frame import in_frame
 
 __all__ = ["uneven_blur_warning"]
 
 FloatArray = NDArray[np.float64]
 
-_WEIGHTS = np.array([0.8, 2.0, -1.0])  # of the evidence, as in both rankings
 _CLEARLY = 0.02  # docs/decisions/motion-estimation.md
-_SAME_MNC = 0.95
 
 
 def uneven_blur_warning(crops: FloatArray, own: Sequence[FloatArray], shared: FloatArray) -> str | None:
@@ -35,10 +33,10 @@ def uneven_blur_warning(crops: FloatArray, own: Sequence[FloatArray], shared: Fl
         Kernel found in all of them together.
     """
     kernels = [shared, *(_odd(kernel) for kernel in own)]
-    scores = np.stack([Judge(crop[None]).evidence(kernels) @ _WEIGHTS for crop in crops])
+    scores = np.stack([kernel_score(Judge(crop[None]).evidence(kernels)) for crop in crops])
     alike = np.array([[mnc_subpixel(one, other) for other in kernels] for one in kernels[1:]])
     # (crops, kernels): how much better a crop's own kernel explains it than another one does
-    missing = np.where(alike < _SAME_MNC, np.diagonal(scores, offset=1)[:, None] - scores, 0.0)
+    missing = np.where(alike < SAME_KERNEL_MNC, np.diagonal(scores, offset=1)[:, None] - scores, 0.0)
     best = int(np.argmin((missing > _CLEARLY).sum(axis=0)))
     differing = np.flatnonzero(missing[:, best] > _CLEARLY)
     if differing.size == 0:

@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from motdiff.crops import CROP_PX
 from motdiff.estimators.base import Estimator
 from motdiff.evaluation.floors import ceilings, floors, mean_kernel
 from motdiff.evaluation.measure import Measured, Row, measure_estimator, measure_psf
-from motdiff.evaluation.sets import RECIPES, Case, least_side_px, levin, load_scenes, simulated
+from motdiff.evaluation.sets import RECIPES, Case, levin, load_scenes, simulated
 from motdiff.evaluation.tables import csv_line
+from motdiff.simulate import border_px
 
 __all__ = ["CaseSet", "Outcome", "evaluate", "levin_set", "simulated_sets"]
 
@@ -97,7 +99,7 @@ def simulated_sets(
     if count < 1:
         raise ValueError(f"count: must be at least 1, got {count}")
     mixes = {name: RECIPES[name].mix(gyro_trace) for name in names}
-    scenes = load_scenes(photos, least_px=least_side_px("real"), grey=grey)
+    scenes = load_scenes(photos, least_px=CROP_PX + border_px("real"), grey=grey)
     return [
         CaseSet(
             name,

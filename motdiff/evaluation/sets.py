@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from motdiff.crops import CROP_PX
 from motdiff.gyro_tables import read_gyro
 from motdiff.mat_files import levin_psf, read_mat
 from motdiff.psf_frame import PSF_PX
-from motdiff.simulate import add_noise, blur_symmetric, blur_valid, valid_window
+from motdiff.simulate import border_px, photograph, visible
 from motdiff.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ __all__ = [
     "Borders",
     "Case",
     "Recipe",
-    "least_side_px",
     "levin",
     "levin_photo",
     "load_scenes",
@@ -111,11 +111,6 @@ RECIPES: dict[str, Recipe] = {
 """The simulated sets by name: the MoTDiff paper's test (section IV-A), and two that are closer to photographs."""
 
 
-def least_side_px(borders: Borders, size: int = 256) -> int:
-    """Shortest side, px, of a sharp photo from which a blurred one of ``size`` px can be taken."""
-    return size + (PSF_PX - 1 if borders == "real" else 0)
-
-
 def load_scenes(source: Path | str, *, least_px: int, grey: bool = False) -> list[FloatArray | NDArray[np.uint8]]:
     """Read sharp photos, their code values taken as light.
 
@@ -150,7 +145,7 @@ def simulated(
     mix: MotionMix,
     sigma: float,
     borders: Borders,
-    size: int = 256,
+    size: int = CROP_PX,
 ) -> Iterator[Case]:
     """Take blurred photos of sharp scenes; case i depends on the scenes and (seed, i) only.
 
@@ -177,11 +172,9 @@ def simulated(
     """
     from motdiff.training.motion_bank import draw_motion
 
-    if borders not in ("real", "symmetric"):
-        raise ValueError(f'borders: must be "real" or "symmetric", got {borders!r}')
     if count < 1:
         raise ValueError(f"count: must be at least 1, got {count}")
-    side = least_side_px(borders, size)
+    side = size + border_px(borders)
     shortest = min((min(photo.shape[:2]) for photo in photos), default=0)
     if shortest < side:
         raise ValueError(f"photos: must be at least {side} x {side} px for {borders} borders, got {shortest} px")
@@ -193,12 +186,8 @@ def simulated(
         row, column = (int(rng.integers(n - side + 1)) for n in scene.shape[:2])
         crop = _light(scene[row : row + side, column : column + side])
         psf = motion.psf(PSF_PX)
-        if borders == "symmetric":
-            sharp, blurred = crop, blur_symmetric(crop, psf)
-        else:
-            sharp, blurred = crop[valid_window(crop.shape, psf.shape)], blur_valid(crop, psf)
-        photo = np.clip(add_noise(blurred, rng, read_sigma=sigma), 0, 1)
-        yield Case(f"{i:04d}", photo, psf, sharp, motion)
+        photo = photograph(crop, psf, rng=rng, borders=borders, read_sigma=sigma)
+        yield Case(f"{i:04d}", photo, psf, visible(crop, PSF_PX, borders=borders), motion)
 
 
 def levin(folder: Path | str) -> Iterator[Case]:

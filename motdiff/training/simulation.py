@@ -1,4 +1,7 @@
-"""From sharp crops and PSFs to blurred photos, in batches on the training device."""
+"""Blurred photos for training: batches on the training device, so in torch.
+
+:func:`motdiff.simulate.photograph` takes one photo at a time in numpy; the tests compare the two blurs.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from motdiff.estimators.pmp.grids import fast_size
+from motdiff.simulate import border_px
 from motdiff.training.jpeg import jpeg_loss
 
 __all__ = ["Photography", "blurred", "photographed"]
@@ -51,27 +56,21 @@ class Photography:
     @property
     def margin(self) -> int:
         """Pixels that the sharp crop must have more than the photo, for 64-px PSFs."""
-        return 63 if self.borders == "real" else 0
+        return border_px(self.borders)
 
 
 def blurred(sharp: Tensor, psfs: Tensor) -> Tensor:
-    """Blur with real borders: only pixels whose whole light comes from within the crop.
-
-    Parameters
-    ----------
-    sharp : (B, C, H, W) float
-    psfs : (B, S, S) float, zero displacement at index ``S // 2``
+    """Blur ``sharp`` (..., H, W) with ``psfs`` (..., R, C), broadcast; differentiable.
 
     Returns
     -------
-    (B, C, H - S + 1, W - S + 1) float
+    (..., H - R + 1, W - C + 1) tensor, as :func:`motdiff.simulate.blur_valid`
     """
-    height, width = sharp.shape[-2:]
-    size = psfs.shape[-1]
-    frame = (height + height % 2, width + width % 2)  # what wraps around is cut away
-    spectrum = torch.fft.rfft2(sharp, s=frame) * torch.fft.rfft2(psfs, s=frame)[:, None]
-    valid: Tensor = torch.fft.irfft2(spectrum, s=frame)[..., size - 1 : height, size - 1 : width]
-    return valid
+    (height, width), (rows, columns) = sharp.shape[-2:], psfs.shape[-2:]
+    frame = (fast_size(height), fast_size(width))  # what wraps around is cut away
+    product = torch.fft.rfft2(sharp, s=frame) * torch.fft.rfft2(psfs, s=frame)
+    whole: Tensor = torch.fft.irfft2(product, s=frame)
+    return whole[..., rows - 1 : height, columns - 1 : width]
 
 
 def photographed(
@@ -107,7 +106,7 @@ def photographed(
     if photography.borders == "symmetric":
         light = _mirrored(light, psfs.shape[-1])
     sigma = photography.most_noise * torch.rand(batch, generator=generator, device=device).square()
-    photo = blurred(light, psfs)
+    photo = blurred(light, psfs[:, None])
     photo = photo + sigma[each] * torch.randn(photo.shape, generator=generator, device=device)
     display = photo.clamp(0, 1) ** (1 / gamma[each])
     lossy = jpeg_loss(display, uniform(*photography.qualities))

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cep.camera import SCHEMA, Camera, capture, visible
+from cep.camera import SCHEMA, Camera, capture
+from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 
 SILENT = Camera(photons_full_scale=1e9, read_noise_e=0.0, bits=16)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from skimage import data
 
-from cep.camera import Camera, capture, visible
+from cep.camera import Camera, capture
 from cep.images import read_photo
 from cep.restore import METHODS, pnp, restore, wiener
+from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 
 BITS = "1011000110111010"  # no zero on the circle

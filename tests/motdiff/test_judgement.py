@@ -1,12 +1,11 @@
-"""The photo's verdict on kernels: prepared once as one by one, agreement by hand, and what is believed."""
+"""Scores of kernels: evidence prepared once as one by one, agreement by hand, and probabilities."""
 
 import numpy as np
 import pytest
 from scipy import special
 
-from motdiff.estimators.judge import Judge, kernel_features, noise_sigma, phase_evidence, spectral_fit
-from motdiff.estimators.motdiff.judgement import FEATURES, features, probabilities
-from motdiff.metrics import mnc_matrix, mnc_subpixel
+from motdiff.estimators.judge import Judge, Phase, Spectrum, believed_kernels, kernel_score, noise_sigma, rank_kernels
+from motdiff.metrics import mnc_matrix
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
@@ -42,8 +41,8 @@ def test_evidence_is_that_of_every_kernel_in_every_crop_alone(crops):
     evidence = judge.evidence(kernels)
     assert evidence.shape == (4, 3)
     for kernel, (fit, phase, rim) in zip(kernels, evidence, strict=True):
-        assert fit == pytest.approx(np.mean([spectral_fit(crop, kernel, sigma=judge.sigma) for crop in crops]))
-        assert phase == pytest.approx(np.mean([phase_evidence(crop, kernel, sigma=judge.sigma) for crop in crops]))
+        assert fit == pytest.approx(np.mean([Spectrum(crop, sigma=judge.sigma).fit(kernel) for crop in crops]))
+        assert phase == pytest.approx(np.mean([Phase(crop, sigma=judge.sigma).evidence(kernel) for crop in crops]))
         assert rim == pytest.approx(1 - kernel[1:-1, 1:-1].sum())
     np.testing.assert_array_equal(judge.evidence(kernels[::-1]), evidence[::-1])  # nothing is kept in between
     assert evidence[0, 0] == pytest.approx(evidence[1, 0], abs=1e-9)  # reflections have the same spectrum
@@ -52,10 +51,17 @@ def test_evidence_is_that_of_every_kernel_in_every_crop_alone(crops):
     assert evidence[3, 2] == pytest.approx(16 / 25)
 
 
-def test_the_classical_ranking_reads_the_same_evidence(crops):
-    kernels = [bent().psf(31), STRAIGHT.psf(63), np.full((5, 5), 1 / 25)]
-    table = kernel_features(crops, kernels)
-    np.testing.assert_allclose(table[:, [0, 2, 3]], Judge(crops).evidence(kernels))
+def test_the_classical_ranking_is_by_score(crops):
+    kernels = [STRAIGHT.psf(31), bent().psf(31), bent().psf(63), np.full((5, 5), 1 / 25)]
+    ranking = rank_kernels(crops, kernels)
+    alike = mnc_matrix(kernels)
+    agreement = (alike.sum(axis=1) - 1) / 3  # with the three others
+    assert ranking.agreement == pytest.approx(agreement[ranking.best])
+    scores = kernel_score(Judge(crops).evidence(kernels), agreement)
+    assert ranking.best == int(np.argmax(scores)) in (1, 2)
+    log_odds = special.logit(ranking.probabilities)
+    np.testing.assert_allclose(np.polyval(np.polyfit(scores, log_odds, 1), scores), log_odds)
+    assert log_odds[ranking.best] > log_odds[0]
 
 
 def test_agreement_by_hand():
@@ -65,47 +71,31 @@ def test_agreement_by_hand():
     across[7, 5], across[7, 10] = 0.5, 0.5
     down[4, 7], down[11, 7] = 0.5, 0.5
     kernels = [point, across, down, point, across]  # two samples, two classical ones, another
-    evidence = np.arange(15.0).reshape(5, 3)
-    table = features(evidence, mnc_matrix(kernels), samples=2, classical=2)
-    assert table.shape == (5, len(FEATURES)) == (5, 5)
-    np.testing.assert_array_equal(table[:, :3], evidence)
     r = np.sqrt(1 / 2)
     samples = [r, r, (r + 1 / 2) / 2, (1 + r) / 2, (r + 1) / 2]  # the first two without themselves
     classical = [(r + 1) / 2, (1 / 2 + r) / 2, r, r, (1 / 2 + r) / 2]
-    np.testing.assert_allclose(table[:, 3:].T, [samples, classical], atol=1e-6)
+    believed = believed_kernels(np.zeros((5, 3)), mnc_matrix(kernels), samples=2, classical=2)
+    alone = [believed_kernels(np.zeros((1, 3)), np.eye(1), samples=n, classical=0)[0] for n in (0, 1)]
+    assert alone[0] == alone[1] < believed.min()
+    gained = special.logit(believed) - special.logit(alone[0])
+    expected = kernel_score(np.zeros((5, 3)), np.mean([samples, classical], axis=0))
+    np.testing.assert_allclose(gained / gained[0], expected / expected[0], atol=1e-6)
 
 
-def test_without_others_there_is_no_agreement():
-    kernels = [STRAIGHT.psf(31), bent().psf(31)]
-    one_sample = features(np.zeros((2, 3)), mnc_matrix(kernels), samples=1, classical=0)
-    assert one_sample[0, 3:].tolist() == [0, 0]
-    assert one_sample[1, 3] == pytest.approx(mnc_subpixel(*kernels), abs=0.03)
-    assert one_sample[1, 4] == 0
-
-
-def test_probabilities_rise_with_the_evidence_and_fall_with_light_on_the_rim():
-    nothing = probabilities(np.zeros((1, 5)))[0]
-    assert 0 < nothing < 0.1
-    each = dict(zip(FEATURES, probabilities(np.eye(5)), strict=True))
-    assert each.pop("rim_light") < nothing
-    assert min(each.values()) > nothing
-    assert probabilities(np.zeros((0, 5))).shape == (0,)
-
-
-def test_every_feature_adds_to_the_log_odds_on_its_own():
-    rows = 0.2 * np.random.default_rng(0).normal(size=(20, 5))
-    log_odds = special.logit(probabilities(rows))
-    np.testing.assert_allclose(log_odds, [special.logit(probabilities(row[None])[0]) for row in rows])
-    start = special.logit(probabilities(np.zeros((1, 5)))[0])
-    per_feature = special.logit(probabilities(0.1 * np.eye(5))) - start
-    np.testing.assert_allclose(log_odds, start + 10 * rows @ per_feature)
+def test_score_rises_with_the_evidence_and_agreement_and_falls_with_light_on_the_rim():
+    fit, phase, rim = kernel_score(np.eye(3))
+    assert min(fit, phase) > 0 > rim
+    rows = np.random.default_rng(0).normal(size=(20, 3))
+    np.testing.assert_allclose(kernel_score(rows), rows @ [fit, phase, rim])
+    assert (kernel_score(rows, 0.5) > kernel_score(rows)).all()
+    assert believed_kernels(np.zeros((0, 3)), np.zeros((0, 0)), samples=0, classical=0).shape == (0,)
 
 
 def test_the_photo_believes_the_truth_and_not_what_is_lost(crops):
     truth, lost = bent().psf(63), STRAIGHT.psf(63).T
     blob = np.exp(-0.5 * (np.mgrid[-31:32, -31:32] ** 2).sum(axis=0) / 16)
     kernels = [truth, truth[::-1, ::-1], lost, blob / blob.sum()]
-    believed = probabilities(features(Judge(crops).evidence(kernels), mnc_matrix(kernels), samples=4, classical=0))
+    believed = believed_kernels(Judge(crops).evidence(kernels), mnc_matrix(kernels), samples=4, classical=0)
     assert believed.argmax() == 0
     assert believed[0] > 0.7
     assert believed[2:].max() < 0.4

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy import ndimage, optimize, signal
 
-from motdiff.estimators.judge import noise_sigma, phase_evidence, spectral_fit
+from motdiff.estimators.judge import Phase, Spectrum, noise_sigma
 from motdiff.estimators.pmp import grids, kernel, latent
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
@@ -234,14 +234,15 @@ def test_noise_is_measured_on_a_blurred_photo(scene):
 def test_spectrum_and_phase_tell_the_kernel_from_lost_ones(scene):
     psf = curved(25)
     photo = blur_valid(scene, psf) + np.random.default_rng(9).normal(0, 0.005, (176, 176))
-    right = spectral_fit(photo, psf, sigma=0.005)
+    spectrum, phase = Spectrum(photo, sigma=0.005), Phase(photo, sigma=0.005)
+    right = spectrum.fit(psf)
     gaussian = np.exp(-0.5 * (np.mgrid[-12:13, -12:13] ** 2).sum(axis=0) / 9)
     assert right > 0.5
-    assert right > spectral_fit(photo, gaussian / gaussian.sum(), sigma=0.005) + 0.2
-    assert right > spectral_fit(photo, psf.T, sigma=0.005) + 0.2
-    assert right == pytest.approx(spectral_fit(photo, psf[::-1, ::-1], sigma=0.005), abs=1e-9)  # no phase in it
-    assert phase_evidence(photo, psf, sigma=0.005) > 0.02
-    assert phase_evidence(photo, psf[::-1, ::-1], sigma=0.005) < -0.02
+    assert right > spectrum.fit(gaussian / gaussian.sum()) + 0.2
+    assert right > spectrum.fit(psf.T) + 0.2
+    assert right == pytest.approx(spectrum.fit(psf[::-1, ::-1]), abs=1e-9)  # no phase in it
+    assert phase.evidence(psf) > 0.02
+    assert phase.evidence(psf[::-1, ::-1]) < -0.02
 
 
 @pytest.mark.parametrize(("contrast", "level"), [(1.0, 0.0), (1e-6, 0.9)])
@@ -264,4 +265,4 @@ def test_evidence_in_single_precision_is_that_in_double(scene, contrast, level):
         energies = np.concatenate([np.diff(inner, axis=axis).ravel() ** 2 for axis in (0, 1)])
         sparsities.append(np.mean(energies**0.4) / np.mean(energies) ** 0.4)  # 0.8-norm over 2-norm
     expected = np.log(sparsities[1] / sparsities[0])
-    assert phase_evidence(photo, psf, sigma=sigma) == pytest.approx(expected, abs=2e-6)
+    assert Phase(photo, sigma=sigma).evidence(psf) == pytest.approx(expected, abs=2e-6)

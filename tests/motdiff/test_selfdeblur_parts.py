@@ -6,11 +6,12 @@ import torch
 from skimage.metrics import structural_similarity as reference_similarity
 
 from motdiff.estimators.selfdeblur import SelfDeblurConfig
-from motdiff.estimators.selfdeblur.convolution import blurred_valid, structural_similarity
+from motdiff.estimators.selfdeblur.fit import structural_similarity
 from motdiff.estimators.selfdeblur.generators import ImageGenerator, KernelGenerator, _NonLocal
 from motdiff.estimators.unjudged import unjudged_estimate
 from motdiff.metrics import mnc
 from motdiff.simulate import blur_valid
+from motdiff.training.simulation import blurred
 from motdiff.trajectory import Trajectory
 
 TINY = SelfDeblurConfig(
@@ -22,7 +23,7 @@ TINY = SelfDeblurConfig(
 def test_the_blur_is_the_projects_true_convolution(shape, kernel_px):
     rng = np.random.default_rng(0)
     sharp, kernel = rng.random(shape), rng.random((kernel_px, kernel_px))
-    found = blurred_valid(torch.from_numpy(sharp), torch.from_numpy(kernel)).numpy()
+    found = blurred(torch.from_numpy(sharp), torch.from_numpy(kernel)).numpy()
     expected = np.stack([blur_valid(image, kernel) for image in sharp.reshape(-1, *shape[-2:])])
     np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-10)
 

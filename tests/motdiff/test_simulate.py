@@ -6,7 +6,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from motdiff.simulate import add_noise, blur_symmetric, blur_valid, photograph, to_display, to_linear, valid_window
+from motdiff.simulate import (
+    add_noise,
+    blur_symmetric,
+    blur_valid,
+    border_px,
+    photograph,
+    to_display,
+    to_linear,
+    valid_window,
+    visible,
+)
 from motdiff.trajectory import Trajectory
 
 
@@ -89,7 +99,7 @@ def test_noise_repeats_with_the_seed_and_refuses_nonsense() -> None:
         add_noise(grey - 1, rng, photons_full_scale=10)
 
 
-def test_photograph_is_blur_clipping_and_quantising() -> None:
+def test_photograph_is_blur_noise_and_what_is_recorded() -> None:
     rng = np.random.default_rng(0)
     scene = rng.random((60, 70)) * 1.5
     motion = Trajectory.straight(9.0, angle_rad=0.4)
@@ -97,11 +107,28 @@ def test_photograph_is_blur_clipping_and_quantising() -> None:
     plain = photograph(scene, motion, rng=rng, read_sigma=0)
     np.testing.assert_allclose(plain, np.clip(blur_valid(scene, psf), 0, 1))
     np.testing.assert_array_equal(plain, photograph(scene, psf, rng=rng, read_sigma=0))
-    coarse = photograph(scene, psf, rng=rng, read_sigma=0.2, bits=3)
-    assert set(np.unique(np.rint(coarse * 7))) <= set(range(8))
-    np.testing.assert_allclose(coarse * 7, np.rint(coarse * 7), atol=1e-12)
-    with pytest.raises(ValueError, match="bits"):
-        photograph(scene, psf, rng=rng, bits=0)
+    noisy = photograph(scene, psf, rng=np.random.default_rng(1), read_sigma=0.2, record=np.asarray)
+    assert noisy.min() < 0 < 1 < noisy.max()
+    recorded = photograph(scene, psf, rng=np.random.default_rng(1), read_sigma=0.2, record=np.rint)
+    np.testing.assert_array_equal(recorded, np.rint(noisy))
+
+
+@pytest.mark.parametrize(("borders", "blur"), [("real", blur_valid), ("symmetric", blur_symmetric)])
+def test_a_photo_shows_the_visible_part_of_its_scene(borders, blur) -> None:
+    scene, rng = np.random.default_rng(0).random((60, 70, 3)), np.random.default_rng(1)
+    psf = Trajectory.straight(9.0, angle_rad=0.4).psf(20)
+    photo = photograph(scene, psf, rng=rng, borders=borders, read_sigma=0)
+    np.testing.assert_array_equal(photo, np.clip(blur(scene, psf), 0, 1))
+    shown = visible(scene, 20, borders=borders)
+    assert photo.shape == shown.shape == (60 - border_px(borders, 20), 70 - border_px(borders, 20), 3)
+    still = np.zeros((20, 20))
+    still[10, 10] = 1
+    np.testing.assert_allclose(photograph(scene, still, rng=rng, borders=borders, read_sigma=0), shown, atol=1e-12)
+
+
+def test_unknown_borders_are_refused() -> None:
+    with pytest.raises(ValueError, match=r'^borders: must be "real" or "symmetric", got "?'):
+        photograph(np.ones((9, 9)), np.ones((1, 1)), rng=np.random.default_rng(0), borders="black")
 
 
 @given(value=st.floats(-1.5, 1.5), gamma=st.none() | st.floats(0.3, 4))

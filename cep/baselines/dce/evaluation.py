@@ -17,7 +17,7 @@ from cep.restore.wiener import wiener
 from motdiff.gyro_tables import read_gyro
 from motdiff.metrics import psnr
 from motdiff.psf_frame import PSF_PX
-from motdiff.simulate import add_noise, blur_valid, to_linear, valid_window
+from motdiff.simulate import photograph, to_linear, visible
 from motdiff.training.motion_bank import MotionMix, draw_motion
 from motdiff.training.photos import load_photos
 
@@ -104,11 +104,11 @@ def evaluate(
     for number in range(count):
         scene = scenes[number % len(scenes)]
         motion = draw_motion(mix, np.random.default_rng([seed, number]), trace)
-        sharp = scene[valid_window(scene.shape, (PSF_PX, PSF_PX))]
+        sharp = visible(scene, PSF_PX)
         for name, code in codes.items():
             psf = coded_psf(motion, code, PSF_PX)
-            # the same draw for every code
-            photo = add_noise(blur_valid(scene, psf), np.random.default_rng([seed, number, 1]), read_sigma=sigma)
+            rng = np.random.default_rng([seed, number, 1])  # the same draw for every code
+            photo = photograph(scene, psf, rng=rng, read_sigma=sigma, record=np.asarray)  # not clipped, as in training
             by_wiener = wiener(photo, psf, noise_variance=sigma**2)
             by_network = restore(photo, code=code, path=weights)
             found[name].append((_psnr(photo / code.duty, sharp), _psnr(by_network, sharp), _psnr(by_wiener, sharp)))

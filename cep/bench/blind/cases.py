@@ -15,7 +15,7 @@ from cep.bench.pairs import koehler_pairs, rsblur_pairs
 from cep.bench.photos import crop, layout_of, pick
 from cep.images import read_image
 from motdiff.evaluation.sets import Case, levin_photo
-from motdiff.simulate import add_noise, blur_symmetric, blur_valid, valid_window
+from motdiff.simulate import border_px, photograph, visible
 from motdiff.trajectory import Trajectory
 
 __all__ = ["RealPhoto", "Shot", "check_real", "real_pair", "real_photos", "shot_of", "taken"]
@@ -70,17 +70,17 @@ def taken(photo: Path, motion: Trajectory, shot: Shot) -> Case:
         If the file is no photo, or too small.
     """
     psf = motion.psf(shot.psf_px)
-    reach = shot.psf_px - 1 if shot.borders == "real" else 0
-    scene = crop(photo, shot.crop_px + reach, np.random.default_rng(shot.crop_seed), gamma=shot.gamma)
-    if shot.borders == "symmetric":
-        sharp, blurred = scene, blur_symmetric(scene, psf)
-    else:
-        sharp, blurred = scene[valid_window(scene.shape, psf.shape)], blur_valid(scene, psf)
-    if shot.photons is not None:
-        rng = np.random.default_rng(shot.noise_seed)
-        read_sigma = shot.read_noise_e / shot.photons
-        blurred = add_noise(blurred, rng, photons_full_scale=shot.photons, read_sigma=read_sigma)
-    return Case(photo.stem, np.clip(blurred, 0, 1), psf, sharp, motion)
+    side = shot.crop_px + border_px(shot.borders, shot.psf_px)
+    scene = crop(photo, side, np.random.default_rng(shot.crop_seed), gamma=shot.gamma)
+    blurred = photograph(
+        scene,
+        psf,
+        rng=np.random.default_rng(shot.noise_seed),
+        borders=shot.borders,
+        photons_full_scale=shot.photons,
+        read_sigma=0.0 if shot.photons is None else shot.read_noise_e / shot.photons,
+    )
+    return Case(photo.stem, blurred, psf, visible(scene, shot.psf_px, borders=shot.borders), motion)
 
 
 # -- real photos ------------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from motdiff.inputs import one_line, read_toml
 from motdiff.psf_frame import PSF_PX
+from motdiff.simulate import border_px
 
 __all__ = ["NAMES", "Motions", "Protocol"]
 
@@ -120,7 +121,7 @@ class Protocol:
     @property
     def least_px(self) -> int:
         """Shortest side, px, of a sharp photo: with real borders the scene reaches beyond the photo."""
-        return self.crop_px + (self.psf_px - 1 if self.borders == "real" else 0)
+        return self.crop_px + border_px(self.borders, self.psf_px)
 
     @property
     def levels(self) -> tuple[float | None, ...]:

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cep.bench.coded.exposed import exposed
 from cep.bench.coded.paths import paths_from, paths_to
-from cep.camera import Camera
+from cep.camera import Camera, capture
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX
 
@@ -43,7 +42,7 @@ def estimate_motion(
 
     truth = paths_from(motion)[0][0]
     rng = np.random.default_rng([seed, 1])
-    photo = exposed(scene, truth.psf(PSF_PX), borders=borders, camera=Camera.from_dict(camera), rng=rng)
+    photo = capture(scene, truth.psf(PSF_PX), Camera.from_dict(camera), rng=rng, borders=borders)
     estimator = named_estimators([method])[method]
     started = time.process_time()
     estimate = estimator.estimate(np.clip(photo, 0, 1))

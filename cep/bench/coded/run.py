@@ -20,7 +20,7 @@ from cep.bench.coded.versions import code_version, motion_version, photo_version
 from cep.bench.coded.work import motion_of, photo_of
 from cep.bench.engine import Outcome, run_cells
 from cep.bench.scenes import Cut
-from motdiff.psf_frame import PSF_PX
+from motdiff.simulate import border_px
 
 __all__ = ["CodedTable", "Shot", "measure_coded", "scene_px"]
 
@@ -233,7 +233,7 @@ class _Stages:
 
 def scene_px(protocol: CodedProtocol) -> int:
     """Return the side of a scene, px: with real borders light comes in from beyond the photo, a PSF's frame less 1."""
-    return protocol.crop_px + (PSF_PX - 1 if protocol.borders == "real" else 0)
+    return protocol.crop_px + border_px(protocol.borders)
 
 
 def _cut(protocol: CodedProtocol, photo: str) -> Cut:

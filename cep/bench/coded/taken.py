@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from cep.bench.coded.exposed import exposed
 from cep.bench.coded.paths import paths_from
-from cep.camera import Camera, visible
+from cep.camera import Camera, capture
 from cep.code import ShutterCode
 from cep.exposure import coded_psf
 from cep.mtf import CodeMetrics, measure
@@ -21,6 +20,7 @@ from cep.restore import restore
 from cep.restore.direction import test_directions
 from motdiff.metrics import psnr_ssim_up_to_shift
 from motdiff.psf_frame import PSF_PX, moved
+from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 
 __all__ = ["Taken", "photographed", "take_photo"]
@@ -103,7 +103,7 @@ def photographed(
     shown = np.asarray(scene, dtype=np.float64)
     rng = np.random.default_rng([seed, 3])
     sensor = Camera.from_dict(camera)
-    photo = exposed(shown, scale * psf, borders=borders, camera=sensor, rng=rng)
+    photo = capture(shown, scale * psf, sensor, rng=rng, borders=borders)
     found = psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
     # Where a scene lies no photo can tell: run backwards, a short exposure at the end of a straight path is one at its
     # start, the same PSF elsewhere. Restored with it, the scene is as good and merely displaced.
@@ -115,7 +115,7 @@ def photographed(
     if (rest_px := whole_px - away_px).any():
         restored = ndimage.shift(restored, rest_px, order=5, mode="nearest")
     restored = np.clip(restored, 0, 1)
-    return Taken(photo, psf, restored, shown if borders == "symmetric" else visible(shown, PSF_PX))
+    return Taken(photo, psf, restored, visible(shown, PSF_PX, borders=borders))
 
 
 def _displacement_px(psf: FloatArray, other: FloatArray) -> FloatArray:

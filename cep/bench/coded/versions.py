@@ -13,9 +13,7 @@ __all__ = ["code_version", "motion_version", "photo_version"]
 _DENOISER = Path(__file__).parents[2] / "restore" / "denoiser" / "denoiser.safetensors"
 _HERE = "cep.bench.coded"
 _PATHS = f"{_HERE}.paths"
-_EXPOSED = (
-    _PATHS, f"{_HERE}.exposed", f"{_HERE}.work", "cep.bench.scenes", "cep.bench.photos", "cep.images", "motdiff.crops",
-)  # fmt: skip
+_EXPOSED = (_PATHS, f"{_HERE}.work", "cep.bench.scenes", "cep.bench.photos", "cep.images", "motdiff.crops")
 """From the file to the photo."""
 _ESTIMATED: dict[str, tuple[str, Path]] = {
     "motdiff-quick": ("motdiff.estimators.motdiff", DEFAULT_WEIGHTS),

@@ -13,12 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from motdiff.conditions import QUICK_STARTS, quick_kernels
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.blind import Found, estimate_blind
-from motdiff.estimators.judge import Judge, noise_sigma
+from motdiff.estimators.judge import Judge, believed_kernels, noise_sigma
 from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
-from motdiff.estimators.motdiff.judgement import features, probabilities
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import refined
-from motdiff.metrics import mnc_matrix, mnc_subpixel
+from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
 from motdiff.parallel import side_by_side
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.weights import load_network
@@ -29,7 +28,6 @@ FloatArray = NDArray[np.float64]
 
 _ODD_PX = PSF_PX - 1
 _REFINED = 3
-_SAME_MNC = 0.95
 _DOUBT = 0.02  # share of the peak: off the path a network's output is never quite 0
 # of the full search's starts, those that stand for the quick ones the network was trained with; the first two agreeing,
 # the larger one stands for the one not run as well
@@ -116,7 +114,7 @@ class MotDiffEstimator:
         mean = len(kernels) - 1
         groups = {"samples": len(drawn), "classical": len(classical)}
         evidence, alike = judge.evidence(kernels), mnc_matrix(kernels)
-        believed = probabilities(features(evidence, alike, **groups))
+        believed = believed_kernels(evidence, alike, **groups)
         best = int(np.argmax(believed))
         if self._refine:
             likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
@@ -124,7 +122,7 @@ class MotDiffEstimator:
             sharpened = side_by_side([partial(refined, crops, kernels[i], judge.sigma) for i in chosen])
             kernels += sharpened
             evidence = np.vstack([evidence, judge.evidence(sharpened)])
-            believed = probabilities(features(evidence, mnc_matrix(kernels), **groups))
+            believed = believed_kernels(evidence, mnc_matrix(kernels), **groups)
             best = mean + 1 + int(np.argmax(believed[mean + 1 :]))  # refined ones are better than what they come from
         origin = best if best <= mean else chosen[best - mean - 1]
         details: dict[str, object] = {
@@ -159,7 +157,7 @@ def _distinct(alike: FloatArray, first: list[int], order: NDArray[np.intp], *, m
     """Those of ``first``, then the first of ``order`` that are not like one chosen before."""
     chosen = list(first)
     for i in order:
-        if all(alike[i, j] < _SAME_MNC for j in chosen):
+        if all(alike[i, j] < SAME_KERNEL_MNC for j in chosen):
             chosen.append(int(i))
             if len(chosen) == most:
                 break

@@ -22,9 +22,7 @@ __all__ = ["SelfDeblurEstimator"]
 
 _LEAST_PX = 32
 _SAVED_EVERY_S = 60.0
-_FITTING = tuple(
-    Path(__file__).with_name(f"{name}.py") for name in ("config", "convolution", "estimator", "fit", "generators")
-)
+_FITTING = tuple(Path(__file__).with_name(f"{name}.py") for name in ("config", "estimator", "fit", "generators"))
 
 
 class SelfDeblurEstimator:

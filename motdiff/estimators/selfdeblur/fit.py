@@ -10,14 +10,16 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from motdiff.estimators.selfdeblur.config import SelfDeblurConfig
-from motdiff.estimators.selfdeblur.convolution import blurred_valid, structural_similarity
 from motdiff.estimators.selfdeblur.generators import ImageGenerator, KernelGenerator
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from motdiff.training.simulation import blurred
 
-__all__ = ["JointFit"]
+__all__ = ["JointFit", "structural_similarity"]
 
 _INPUT_SCALE = 0.1
 _MOMENTS = ("exp_avg", "exp_avg_sq")
+_SSIM_WINDOW_PX, _SSIM_SIGMA_PX = 11, 1.5
+_C1, _C2 = 0.01**2, 0.03**2
 
 
 class JointFit:
@@ -60,7 +62,7 @@ class JointFit:
             group["lr"] = rate * config.decay(self.iteration)
         jitter = torch.randn(self._noise.shape, generator=self._generator)
         made = self._networks["image"]((self._noise + config.input_noise * jitter).to(self._photo.device))[0, 0]
-        again = blurred_valid(made[: self._shape[0], : self._shape[1]], self._networks["kernel"](self._kernel_noise))
+        again = blurred(made[: self._shape[0], : self._shape[1]], self._networks["kernel"](self._kernel_noise))
         if self.iteration < config.structure_from:
             loss = functional.mse_loss(again, self._photo)
         else:
@@ -120,3 +122,23 @@ class JointFit:
             raise ValueError(f"{folder}: its checkpoint belongs to generators of other sizes; remove it") from error
         self.iteration = checkpoint.step
         return checkpoint.seconds
+
+
+def structural_similarity(a: Tensor, b: Tensor) -> Tensor:
+    """Mean SSIM of two photos (H, W), 0..1, under a Gaussian window of 11 px, where the window is whole.
+
+    References
+    ----------
+    Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment", IEEE TIP 2004.
+    """
+    at = torch.arange(_SSIM_WINDOW_PX, device=a.device, dtype=a.dtype) - _SSIM_WINDOW_PX // 2
+    window = torch.exp(-at.square() / (2 * _SSIM_SIGMA_PX**2))
+    window = window / window.sum()
+    maps = torch.stack([a, b, a * a, b * b, a * b])[:, None]
+    maps = functional.conv2d(functional.conv2d(maps, window.view(1, 1, 1, -1)), window.view(1, 1, -1, 1))
+    mean_a, mean_b, square_a, square_b, product = maps[:, 0]
+    variance = (square_a - mean_a.square()) + (square_b - mean_b.square())
+    covariance = product - mean_a * mean_b
+    likeness = (2 * mean_a * mean_b + _C1) * (2 * covariance + _C2)
+    similarity: Tensor = likeness / ((mean_a.square() + mean_b.square() + _C1) * (variance + _C2))
+    return similarity.mean()

@@ -136,7 +136,7 @@ def test_samples_without_physics_are_photos_with_their_targets(bank, scenes, bor
 def test_plain_samples_are_crops_blurred_by_their_motions(bank, scenes):
     samples = taken(bank, scenes, [0, 3, 5])
     sharp = crops(scenes, count=3, size=PHOTO_PX + 63, generator=torch.Generator().manual_seed(7))
-    expected = blurred(sharp, bank.targets(torch.tensor([0, 3, 5]))[0])
+    expected = blurred(sharp, bank.targets(torch.tensor([0, 3, 5]))[0][:, None])
     assert float((samples.photos - expected).abs().max()) < 0.51 / 255
 
 

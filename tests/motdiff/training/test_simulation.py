@@ -46,20 +46,20 @@ def oracle(blur, sharp, kernels):
 def test_blur_is_the_one_with_real_borders(shape, size):
     sharp = scene(101)[:, :, : shape[0], : shape[1]]
     kernels = psfs(size=size)
-    result = blurred(sharp, kernels)
+    result = blurred(sharp, kernels[:, None])
     assert result.shape == (2, 3, shape[0] - size + 1, shape[1] - size + 1)
     torch.testing.assert_close(result, oracle(blur_valid, sharp, kernels), atol=1e-5, rtol=0)
 
 
 def test_each_photo_has_its_own_kernel():
     sharp = scene(90)
-    torch.testing.assert_close(blurred(sharp, psfs())[1:], blurred(sharp[1:], psfs()[1:]))
+    torch.testing.assert_close(blurred(sharp, psfs()[:, None])[1:], blurred(sharp[1:], psfs()[1:, None]))
 
 
 def test_a_point_draws_the_kernel_around_itself():
     sharp = torch.zeros(2, 1, 127, 127)
     sharp[:, :, 63, 63] = 1
-    drawn = blurred(sharp, psfs())  # row r of the photo is row r + 31 of the scene
+    drawn = blurred(sharp, psfs()[:, None])  # row r of the photo is row r + 31 of the scene
     torch.testing.assert_close(drawn[:, 0], psfs(), atol=1e-6, rtol=0)
 
 
@@ -108,7 +108,7 @@ def test_gamma_blurs_light_and_half_of_the_photos_have_none():
     photos, _ = taken(sharp, line, replace(PLAIN, gammas=(2.2, 2.2)))
     errors = []
     for gamma in (1.0, 2.2):
-        light = blurred(sharp[:1] ** gamma, line[:1])
+        light = blurred(sharp[:1] ** gamma, line[:1, None])
         errors.append((photos ** (1 / gamma) - light ** (1 / gamma)).abs().amax(dim=(1, 2, 3)) * 255)
     kinds = torch.stack([error < 0.51 for error in errors])
     assert bool((kinds.sum(dim=0) == 1).all())  # every photo is of one kind and not of the other
@@ -130,7 +130,7 @@ def test_jpeg_photos_went_through_it_once():
     sharp = scene(159)
     plain, _ = taken(sharp, psfs(), PLAIN)
     lossy, _ = taken(sharp, psfs(), replace(PLAIN, jpeg=1.0, qualities=(80.0, 80.0)))
-    torch.testing.assert_close(lossy, jpeg_loss(blurred(sharp, psfs()).clamp(0, 1), torch.full((2,), 80.0)))
+    torch.testing.assert_close(lossy, jpeg_loss(blurred(sharp, psfs()[:, None]).clamp(0, 1), torch.full((2,), 80.0)))
     assert float((lossy - plain).abs().mean()) > 1e-4
 
 
