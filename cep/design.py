@@ -22,6 +22,7 @@ from motdiff.trajectory import Trajectory
 __all__ = [
     "FINEST_CHIP_PX",
     "LARGEST_FRAME_PX",
+    "MOST_SAMPLES",
     "check_frame",
     "check_resolved",
     "expected_psnr_db",
@@ -36,17 +37,28 @@ FINEST_CHIP_PX = 0.25
 LARGEST_FRAME_PX = 2048
 """Widest PSF frame, px, of a bent path that is measured: the work grows with its area."""
 
+MOST_SAMPLES = 20_000
+"""Most samples of a bent path that is measured: the work grows with them, to half a minute of a code's figures."""
+
 
 def check_frame(trajectory: Trajectory) -> None:
-    """Refuse a bent path too wide to be measured; a uniform straight one has a formula for any length.
+    """Refuse a bent path too wide or too dense to be measured; a uniform straight one has a formula for any length.
 
     Raises
     ------
     ValueError
-        If the PSF would need a frame of more than :data:`LARGEST_FRAME_PX`.
+        If the PSF would need a frame of more than :data:`LARGEST_FRAME_PX`, or there are more samples than
+        :data:`MOST_SAMPLES`.
     """
+    if uniform_length_px(trajectory) is not None:
+        return
+    if trajectory.t.size > MOST_SAMPLES:
+        raise ValueError(
+            f"trajectory: the path has {trajectory.t.size} samples, at most {MOST_SAMPLES} can be measured; "
+            "give fewer, the noise between them is not the camera's motion"
+        )
     frame = trajectory.frame_size()
-    if frame > LARGEST_FRAME_PX and uniform_length_px(trajectory) is None:
+    if frame > LARGEST_FRAME_PX:
         raise ValueError(
             f"trajectory: the path needs a PSF of {frame} px around its zero, at most {LARGEST_FRAME_PX} can be handled"
         )

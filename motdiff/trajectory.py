@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from motdiff import rasterise
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX, PSF_PX
+from motdiff.thinning import thinned_knots
 
 __all__ = ["Direction", "Segments", "Trajectory", "bilinear_otf", "pixel_aperture_otf"]
 
@@ -188,6 +189,22 @@ class Trajectory:
         """Return ``samples`` samples evenly spaced in time."""
         t = np.linspace(0, 1, samples)
         return Trajectory.from_samples(self.at(t), t=t, direction=self.direction)
+
+    def thinned(self, tolerance_px: float = 1e-4) -> Trajectory:
+        """Return the path with fewer samples, nowhere and at no time more than ``tolerance_px`` from this one.
+
+        Its OTF differs by at most ``2 pi |f| tolerance_px``. Made for paths of a million samples, in about a second.
+
+        Raises
+        ------
+        ValueError
+            If the tolerance is not a positive number.
+        """
+        if not (np.isfinite(tolerance_px) and tolerance_px > 0):
+            raise ValueError(f"tolerance_px: must be a positive number, got {tolerance_px}")
+        # centring the thinned path moves it by no more than it was moved on average
+        kept = thinned_knots(self.t, self.xy, 0.5 * tolerance_px)
+        return Trajectory.from_samples(self.xy[kept], t=self.t[kept], direction=self.direction)
 
     def arc_resampled(self, samples: int) -> FloatArray:
         """Points (samples, 2) px evenly spaced along the path, whatever the dwell."""

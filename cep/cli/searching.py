@@ -83,7 +83,8 @@ def task_of(
     from cep.design import check_frame, check_resolved
 
     motion = stored.trajectory
-    check_frame(motion)
+    for path in (motion, *(path for _, path in stored.alternatives if wish.alternatives)):
+        check_frame(path)
     check_resolved(motion, wish.chips)
     problem = problem_of(wish, stored, camera=camera, profile=profile, rng=np.random.default_rng([how.seed, 2]))
     straight = on_the_circle(problem)

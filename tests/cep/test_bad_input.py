@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from cep.images import write_image
+from motdiff.files import StoredMotion, write_motion
+from motdiff.trajectory import Trajectory
 
 GOOD = {
     "schema": "cep.trajectory/1", "units": "px", "direction": "unknown",
@@ -210,6 +212,29 @@ def test_motions_wider_than_the_photo_or_any_frame(refused, workplace):
         assert "blurred.png is only" in line
     for arguments in (["mtf"], ["audit", "1011"], ["optimize", "--chips", "20"]):
         assert "at most 2048" in refused(*arguments, "--trajectory", "wide.json", "-o", "new.png")
+
+
+def dense(noise_px):
+    t = np.linspace(0, 1, 50_000)
+    xy = np.stack([20 * np.sin(5 * t), 15 * np.cos(4 * t)], axis=1)
+    xy += noise_px * np.random.default_rng(0).standard_normal(xy.shape)
+    write_motion("dense.json", StoredMotion(Trajectory.from_samples(xy, t=t)))
+
+
+def test_a_dense_path_is_searched_as_quickly_as_any(cep, workplace, monkeypatch):
+    """Shown by what the search is given: no test asserts a wall time."""
+    seen = []
+    monkeypatch.setattr("cep.optimize.search", lambda problem, *_, **__: seen.append(problem) or 1 / 0)
+    dense(0.0)
+    cep("optimize", "--trajectory", "dense.json", "--chips", "8", "-o", "new.json")
+    assert seen[0].scenarios[0].trajectory.t.size < 2000
+
+
+@pytest.mark.parametrize("command", ["optimize --chips 8", "pareto --chips 8", "audit 11010011", "mtf"])
+def test_noise_between_samples_is_refused_at_once(refused, workplace, command):
+    dense(0.01)
+    line = refused(*command.split(), "--trajectory", "dense.json")
+    assert "samples, at most 20000" in line
 
 
 def test_a_large_empty_frame_around_a_psf_is_fine(cep, workplace):

@@ -148,3 +148,16 @@ def test_source_must_be_json(tmp_path: Path) -> None:
     with pytest.raises(TypeError):
         write_motion(tmp_path / "t.json", StoredMotion(Trajectory.straight(3.0), source={"bad": object()}))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dense_path_is_thinned_on_reading_and_others_are_as_they_were(tmp_path: Path) -> None:
+    t = np.linspace(0, 1, 100_000)
+    path = Trajectory.from_samples(np.stack([20 * np.sin(5 * t), 15 * np.cos(4 * t)], axis=1), t=t)
+    write_motion(tmp_path / "t.json", StoredMotion(path, 0.6, ((0.4, path.reversed()),)))
+    read = read_motion(tmp_path / "t.json")
+    for was, now in ((path, read.trajectory), (path.reversed(), read.alternatives[0][1])):
+        assert now.t.size < 2000
+        assert np.linalg.norm(now.at(t) - was.at(t), axis=1).max() <= 1e-4
+    few = path.resampled(2000)
+    write_motion(tmp_path / "few.json", StoredMotion(few))
+    np.testing.assert_array_equal(read_motion(tmp_path / "few.json").trajectory.t, few.t)

@@ -249,3 +249,47 @@ def test_samples_cannot_be_changed_behind_its_back() -> None:
     motion = wiggle(0)
     with pytest.raises(ValueError, match="read-only"):
         motion.xy[0, 0] = 5
+
+
+def dense(samples: int, noise_px: float) -> Trajectory:
+    t = np.linspace(0, 1, samples)
+    xy = np.stack([20 * np.sin(5 * t) + 3 * np.cos(17 * t), 15 * np.cos(4 * t)], axis=1)
+    xy += noise_px * np.random.default_rng(0).standard_normal(xy.shape)
+    return Trajectory.from_samples(xy, t=t**1.5, direction="known")
+
+
+@pytest.mark.parametrize("tolerance_px", [1e-4, 0.01, 1.0])
+@pytest.mark.parametrize(("samples", "noise_px"), [(2, 0.0), (3, 0.0), (1000, 0.0), (4097, 1e-5), (4095, 0.3)])
+def test_a_thinned_path_is_at_the_same_place_at_any_time(samples: int, noise_px: float, tolerance_px: float) -> None:
+    path = dense(samples, noise_px)
+    thin = path.thinned(tolerance_px)
+    assert thin.direction == "known"
+    times = np.union1d(path.t, np.linspace(0, 1, 777))
+    assert np.linalg.norm(thin.at(times) - path.at(times), axis=1).max() <= tolerance_px
+    assert 2 <= thin.t.size <= samples
+
+
+def test_a_million_samples_become_few_with_the_same_otf() -> None:
+    path = dense(1_000_000, 0.0)
+    thin = path.thinned()
+    assert thin.t.size < 3000
+    fx, fy = np.random.default_rng(1).uniform(-0.5, 0.5, (2, 12))
+    edges = np.linspace(0, 1, 9)
+    difference = np.abs(path.slice_otfs(edges, fx, fy) - thin.slice_otfs(edges, fx, fy)).sum(axis=0)
+    assert (difference <= 2 * np.pi * np.hypot(fx, fy) * 1e-4).all()
+
+
+def test_dwell_is_no_less_than_place() -> None:
+    """A straight path of uneven speed keeps its speeds."""
+    t = np.linspace(0, 1, 10_000)
+    path = Trajectory.from_samples(np.outer(t**3, [30.0, 0.0]), t=t)
+    assert np.abs(path.thinned().at(t) - path.at(t)).max() <= 1e-4
+    assert path.thinned().t.size > 50
+    even = Trajectory.from_samples(np.outer(t, [30.0, 0.0]), t=t).thinned()
+    assert even.t.size < 20
+
+
+@pytest.mark.parametrize("tolerance_px", [0.0, -1.0, float("nan"), float("inf")])
+def test_tolerances_that_are_none(tolerance_px: float) -> None:
+    with pytest.raises(ValueError, match="tolerance_px"):
+        dense(10, 0.0).thinned(tolerance_px)
