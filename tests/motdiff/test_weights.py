@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -12,11 +13,12 @@ from motdiff import weights as module
 from motdiff.network import NetworkConfig, build_network
 from motdiff.sampling import sample_paths
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
-from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
+from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig, read_config
 from motdiff.training.data import Batch
 from motdiff.training.loop import Trainer
 from motdiff.weights import DEFAULT_WEIGHTS, export_weights, load_network, load_start, read_card
 
+CONFIGS = Path(module.__file__).parents[1] / "configs"
 TINY = NetworkConfig(
     backbone="none",
     physics_channels=2,
@@ -140,7 +142,9 @@ def test_a_photo_encoder_and_a_global_view_can_be_put_on_the_shipped_weights():
     """Until it is trained the network gives the shipped one's logits, less the offset that export took from them."""
     shipped = load_network()
     offset = read_card(DEFAULT_WEIGHTS)["run"]["offset"]
-    larger = build_network(replace(shipped.config, backbone="b0", photo_pool=2, width=16, denoiser_view=1)).eval()
+    larger = build_network(read_config(CONFIGS / "cpu_encoder.toml").network).eval()
+    assert larger.photo is not None
+    assert larger.denoiser.view is not None
     larger.to(memory_format=torch.channels_last)  # as the loaded one: for the same bits
     load_start(larger, DEFAULT_WEIGHTS)
     draw = torch.Generator().manual_seed(0)
