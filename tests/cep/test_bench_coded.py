@@ -4,6 +4,7 @@ import csv
 import io
 import tomllib
 from dataclasses import asdict, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from cep.images import write_image
 from cep.mtf import measure
 from cep.restore.wiener import wiener
 from motdiff.estimators.base import MotionEstimate
+from motdiff.motions import boracchi_foi
 from motdiff.psf_frame import PSF_PX
 from motdiff.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
@@ -456,7 +458,13 @@ KNOWING = ("open", "dnf", "oracle", "parametric-oracle")
 
 
 @pytest.fixture
-def photos(tmp_path):
+def coarse_walks(monkeypatch):
+    """Random walks of 100 points instead of 2000: the table's other parts do not depend on it, and their time does."""
+    monkeypatch.setattr(motions, "boracchi_foi", partial(boracchi_foi, samples=100))
+
+
+@pytest.fixture
+def photos(tmp_path, coarse_walks):
     write_image(tmp_path / "blocks.png", blocks(96), gamma="linear")
     return {"blocks": tmp_path / "blocks.png"}
 
