@@ -23,6 +23,7 @@ def test_a_notebook_is_paired(path):
 
 
 # the kernel's own packages warn about their event loops and folders; that is none of our doing
+@pytest.mark.slow(reason="a kernel, and all that the notebook computes")
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path, tmp_path, monkeypatch):

@@ -373,7 +373,8 @@ def put_in_the_way(command):
 def test_existing_outputs_are_kept(refused, cep, workplace, command):
     taken = put_in_the_way(command)
     line = refused(*(part.replace("OUT", "out.png") for part in WRITERS[command]))
-    assert "exists already, use --force" in line
+    assert "out.png" in line
+    assert "--force" in line
     if command in ("calibrate", "optimize", "audit", "mtf", "simulate", "deblur", "export"):
         assert cep(*(part.replace("OUT", "out.png") for part in WRITERS[command]), "--force").code == 0
         kept = taken / "trajectory.json" if taken.is_dir() else taken
@@ -381,12 +382,12 @@ def test_existing_outputs_are_kept(refused, cep, workplace, command):
 
 
 @pytest.mark.parametrize(
-    ("command", "options", "message"),
+    ("command", "options", "named"),
     [
-        ("calibrate", ["--method", "zzz"], "method: must be one of"),
+        ("calibrate", ["--method", "zzz"], "method"),
         ("calibrate", ["--samples", "3"], "samples"),
         ("calibrate", ["--gamma", "7"], "gamma"),
-        ("optimize", ["--objective", "beauty"], "objective: must be one of"),
+        ("optimize", ["--objective", "beauty"], "objective"),
         ("audit", ["--linear", "0.5"], "chips"),
         ("simulate", ["--gamma", "7"], "gamma"),
         ("simulate", ["--code", "10201"], "only 0 and 1"),
@@ -399,11 +400,11 @@ def test_existing_outputs_are_kept(refused, cep, workplace, command):
     ],
     ids=lambda part: part if isinstance(part, str) else " ".join(part),
 )
-def test_wrong_options_are_told_before_outputs_in_the_way(refused, workplace, command, options, message):
+def test_wrong_options_are_told_before_outputs_in_the_way(refused, workplace, command, options, named):
     put_in_the_way(command)
     line = refused(*(part.replace("OUT", "out.png") for part in WRITERS[command]), *options)
-    assert message in line
-    assert "exists already" not in line
+    assert named in line
+    assert "--force" not in line
 
 
 @pytest.mark.parametrize("command", WRITERS)

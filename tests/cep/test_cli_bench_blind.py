@@ -72,6 +72,7 @@ BLIND = ("bench", "blind", "--data", "photos", "--protocol", "tiny.toml", "--met
 SPEED = ("bench", "speed", "--data", "photos", "--protocol", "tiny.toml", "--methods", "pmp")
 
 
+@pytest.mark.slow(reason="four blind estimates")
 def test_a_real_estimator_from_photos_to_every_output(cep, studio):
     work._estimator.cache_clear()
     found = cep.succeeds(*BLIND, "-o", "out")
@@ -111,7 +112,7 @@ def test_a_real_estimator_from_photos_to_every_output(cep, studio):
 def test_finished_cells_are_found_again_and_a_quick_run_is_a_part(cep, studio, guesses):
     first = cep.succeeds(*BLIND, "-o", "out", "--cache", "cells")
     assert guesses.calls == 4
-    assert "exists already" in cep.refuses(*BLIND, "-o", "out", "--cache", "cells")
+    assert "--force" in cep.refuses(*BLIND, "-o", "out", "--cache", "cells")
     again = cep.succeeds(*BLIND, "-o", "out", "--cache", "cells", "--force")
     assert again["tables"] == first["tables"]
     cep.succeeds(*BLIND, "-o", "quick", "--cache", "cells", "--quick")
@@ -264,7 +265,7 @@ def test_speed_leaves_no_figure_and_an_older_one_goes(cep, studio, guesses):
     Path("out").mkdir()
     for name in ("speed.pdf", "speed.png"):
         Path("out", name).write_text("older")
-    assert "exists already" in cep.refuses(*SPEED, "--quick", "-o", "out")
+    assert "--force" in cep.refuses(*SPEED, "--quick", "-o", "out")
     cep.succeeds(*SPEED, "--quick", "-o", "out", "--force")
     assert {path.suffix for path in Path("out").glob("speed.*")} == {".md", ".csv", ".json"}
 

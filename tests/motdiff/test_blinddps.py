@@ -137,6 +137,7 @@ def weights(tmp_path_factory):
     return folder, write_weights(folder, SHARP)
 
 
+@pytest.mark.slow(reason="two thousand steps of diffusion")
 def test_finds_the_kernel_that_the_prior_does_not_know(weights):
     folder, middle = weights
     seen = []

@@ -62,6 +62,7 @@ def stop_at(iteration, config):
 # ---- the fit
 
 
+@pytest.mark.slow(reason="trains two networks on a photo")
 def test_finds_the_blur_of_a_simulated_photo():
     """Of 48 x 48 px: from a flat kernel to the true one, the right way round, and what is returned is in convention."""
     delta = np.zeros((9, 9))

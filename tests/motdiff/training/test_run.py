@@ -377,6 +377,7 @@ torch.save([trainer.step, list(trainer.network.parameters())], f"rank{rank}.pt")
 """
 
 
+@pytest.mark.slow(reason="three processes import torch")
 def test_two_processes_train_one_network_and_end_together(prepared, tmp_path):
     """Only one is asked to stop; the other would wait for its gradients for ever."""
     (tmp_path / "run.toml").write_text(toml(from_prepared(prepared, optimiser=replace(ONCE, steps=1000))))
