@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,8 +19,22 @@ from motdiff.trajectory import Trajectory
 if TYPE_CHECKING:
     from cep.baselines.compare import BaselineRow
     from cep.bench.cells import Figure
+    from cep.search.annealing.budget import Stopped
 
-__all__ = ["Appraisal", "Found", "Search", "appraise", "code_from_figures", "optimize_motion", "report", "search"]
+__all__ = [
+    "STANDARD_TIME_S",
+    "Appraisal",
+    "Found",
+    "Search",
+    "appraise",
+    "code_from_figures",
+    "optimize_motion",
+    "report",
+    "search",
+]
+
+STANDARD_TIME_S = 60.0
+"""Limit of an annealing that is given neither moves nor a time, seconds."""
 
 _RELAXED = 128  # chips to which the relaxation takes seconds
 _ROUNDED = 16  # codes drawn from it
@@ -35,27 +50,44 @@ class Search:
     effort : {"quick", "sdp"}
         Of the bound; "sdp" also draws codes from the relaxation to start from.
     steps : int, optional
-        Moves of an annealing; as suits the problem when omitted.
-    time_s : float
-        Limit of an annealing, seconds; a proof runs to its end.
+        Moves of an annealing. The same seed and moves give the same code, unless the time ends the search.
+    time_s : float, optional
+        Limit of an annealing, seconds; a proof runs to its end. With a time alone the annealing goes on for it,
+        however many moves that are; without moves or a time it makes as many as suit the problem, for
+        :data:`STANDARD_TIME_S` at most.
     seed : int
-        The same one gives the same code, unless the time ends the search.
 
     Raises
     ------
     ValueError
-        If the time is not above 0.
+        If the time is not above 0, or moves or a time are given for a proof.
     """
 
     method: Literal["anneal", "exact"] = "anneal"
     effort: Literal["quick", "sdp"] = "quick"
     steps: int | None = None
-    time_s: float = 60.0
+    time_s: float | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not self.time_s > 0:
+        if self.time_s is not None and not self.time_s > 0:
             raise ValueError(f"time_s: must be above 0 seconds, got {self.time_s}")
+        for name in ("steps", "time_s"):
+            if self.method == "exact" and getattr(self, name) is not None:
+                raise ValueError(f"{name}: not valid with method='exact', which judges every code there is")
+
+    @property
+    def limit_s(self) -> float:
+        """Limit of an annealing, seconds; infinite where only its moves are given."""
+        if self.time_s is not None:
+            return self.time_s
+        return STANDARD_TIME_S if self.steps is None else math.inf
+
+    def moves(self, problem: SearchProblem) -> int | None:
+        """Say how many moves an annealing makes; None where the time alone ends it."""
+        from cep.search.annealing.anneal import standard_moves
+
+        return standard_moves(problem) if self.steps is None and self.time_s is None else self.steps
 
 
 @dataclass(frozen=True)
@@ -70,8 +102,8 @@ class Found:
     steps : int
         Moves tried, or codes counted.
     seconds : float
-    interrupted : bool
-        Whether Ctrl-C or the time limit ended it.
+    stopped : {"steps", "time", "interrupted", "complete", "proven"}
+        What ended it: all moves made, the time limit, Ctrl-C, that no other code keeps the limits, or a proof.
     proof : dict or None
         Log of the proof.
     """
@@ -80,7 +112,7 @@ class Found:
     objective: float
     steps: int
     seconds: float
-    interrupted: bool
+    stopped: Stopped | Literal["proven"]
     proof: dict[str, Any] | None
 
 
@@ -134,7 +166,7 @@ def search(
         If the problem is not one that the method solves.
     """
     from cep.baselines.published import for_chips
-    from cep.search.annealing.anneal import anneal, standard_moves
+    from cep.search.annealing.anneal import anneal
     from cep.search.exhaustive.exact import codes_to_count, exact
 
     if how.method == "exact":
@@ -142,18 +174,19 @@ def search(
         unit = 1 if problem.scenarios else problem.chips  # |P| counts chips, the objective is light-true
         cost = -20 * float(np.log10(max(proven.minimum.upper / unit, 1e-300)))
         counted = codes_to_count(problem)
-        return Found(proven.code, cost, counted, proven.seconds, not proven.proven, proven.proof.to_dict())
+        stopped: Literal["proven", "interrupted"] = "proven" if proven.proven else "interrupted"
+        return Found(proven.code, cost, counted, proven.seconds, stopped, proven.proof.to_dict())
     starts = _rounded(problem, how.seed) if how.effort == "sdp" else []
     found = anneal(
         problem,
         rng=np.random.default_rng(how.seed),
-        steps=how.steps or standard_moves(problem),
-        time_s=how.time_s,
+        steps=how.moves(problem),
+        time_s=how.limit_s,
         start=[*(entry.code for entry in for_chips(problem.chips)), *starts],
         progress=progress,
         threads=threads,
     )
-    return Found(found.code, found.objective, found.steps, found.seconds, found.interrupted, None)
+    return Found(found.code, found.objective, found.steps, found.seconds, found.stopped, None)
 
 
 def appraise(
@@ -163,7 +196,7 @@ def appraise(
     along: Trajectory | None,
     effort: Literal["quick", "sdp"] = "quick",
     seed: int = 0,
-    time_s: float = 60.0,
+    time_s: float = STANDARD_TIME_S,
 ) -> Appraisal:
     """Compare a code with what would be used instead, certify its minimum, and hold it against a bound.
 
@@ -199,13 +232,14 @@ def report(found: Found, appraisal: Appraisal) -> dict[str, Any]:
         "chip_ns": code.chip_ns,
         **appraisal.ours.metrics.to_dict(),
         "objective": found.objective,
-        "proven": found.proof is not None and not found.interrupted,
+        "proven": found.stopped == "proven",
         "certificate": appraisal.certificate,
         "bound": appraisal.bound,
         "gap": appraisal.gap,
         "seconds": found.seconds,
         "steps": found.steps,
-        "interrupted": found.interrupted,
+        "stopped": found.stopped,
+        "interrupted": found.stopped == "interrupted",
         "baselines": {
             row.name: {"bits": row.code.bits, "open": row.code.open_chips, "stopped_early": row.stopped_early}
             | row.metrics.to_dict()
@@ -241,10 +275,10 @@ def optimize_motion(
         If Ctrl-C ended the search: half a search must not count as a finished one.
     """
     found = search(searched, how, threads=1)
-    if found.interrupted and (how.method == "exact" or found.seconds < how.time_s):
+    if found.stopped == "interrupted":
         raise KeyboardInterrupt
     code = replace(found.code, chip_ns=chip_ns)
-    appraisal = appraise(problem, code, along=along, effort=how.effort, seed=how.seed, time_s=how.time_s)
+    appraisal = appraise(problem, code, along=along, effort=how.effort, seed=how.seed, time_s=how.limit_s)
     parts = {
         "report": report(found, appraisal),
         "metrics": appraisal.ours.metrics.to_dict(),
@@ -263,7 +297,7 @@ def code_from_figures(figures: Mapping[str, Figure], described: Mapping[str, Any
         What the file says of the problem; the search's steps and proof are added.
     """
     told, metrics, proof = (json.loads(str(figures[part])) for part in ("report", "metrics", "proof"))
-    problem = {**described, "steps": told["steps"], "proof": proof}
+    problem = {**described, "steps": told["steps"], "stopped": told["stopped"], "proof": proof}
     return told, StoredCode(ShutterCode(told["bits"], told["chip_ns"]), metrics, problem, told["certificate"])
 
 

@@ -80,7 +80,7 @@ def compare(
         time_s=max(time_s, _LENGTH_ONLY_S),
     )  # fmt: skip
     others["length-only code"] = length_only.code
-    stopped_early = {"length-only code"} if length_only.interrupted else set()
+    stopped_early = {"length-only code"} if length_only.stopped in ("time", "interrupted") else set()
     others["random code, median"] = random_codes(objective, _RANDOM_CODES, rng=rng).middle
     return (
         BaselineRow("this code", code, metrics or problem.measure(code)),

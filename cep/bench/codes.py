@@ -78,7 +78,7 @@ def measure_code(*, bits: str, time_s: float, seed: Sequence[int], threads: int 
     problem = SearchProblem(chips=code.chips, open_range=(code.open_chips, code.open_chips), objective=_MIX)
     rng = np.random.default_rng(list(seed))
     found = anneal(problem, rng=rng, steps=None, time_s=time_s, threads=threads)
-    if found.interrupted:
+    if found.stopped == "interrupted":
         raise KeyboardInterrupt
     return {
         "bits": found.code.bits,

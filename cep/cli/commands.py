@@ -94,7 +94,7 @@ class _Page:
         if self.examples:
             width = shutil.get_terminal_size().columns
             lines = [line for example in self.examples for line in _folded(example, width)]
-            typer.echo("\n".join([f" Example{'s' if len(self.examples) > 1 else ''}:", *lines, ""]))
+            typer.echo("\n".join(["", f" Example{'s' if len(self.examples) > 1 else ''}:", *lines, ""]))
 
 
 class Command(_Page, TyperCommand):

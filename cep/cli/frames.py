@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cep.cli.console import finish, progress, table
+from cep.cli.searching import Task, ending, warnings_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from cep.code import ShutterCode
+    from cep.optimize import Search
+    from cep.search.annealing.budget import Stopped
     from cep.search.annealing.frames import FramesResult
     from cep.search.annealing.joint import JointFigures
     from cep.search.problem import SearchProblem
@@ -21,16 +23,12 @@ __all__ = ["optimize_frames"]
 
 
 def optimize_frames(
-    problem: SearchProblem,
-    searched: SearchProblem,
+    task: Task,
+    how: Search,
     frames: int,
     *,
-    described: Mapping[str, Any],
     profile: DeviceProfile | None,
     chip_ns: int,
-    steps: int | None,
-    time_s: float,
-    seed: int,
     output: Path,
     force: bool,
     as_json: bool,
@@ -39,17 +37,14 @@ def optimize_frames(
 
     Parameters
     ----------
-    problem : SearchProblem
-        To measure on.
-    searched : SearchProblem
-        To search, the unit circle where only the code's polynomial matters.
+    task : Task
+    how : Search
+        Half the time at most goes to the single code; both searches make as many moves.
     frames : int
-    described : mapping
-        What the code files say of the problem.
     profile : DeviceProfile, optional
         That must be able to play every code.
-    chip_ns, steps, time_s, seed, output, force, as_json
-        As the command's options; at most half the time goes to the single code.
+    chip_ns, output, force, as_json
+        As the command's options.
 
     Raises
     ------
@@ -66,14 +61,15 @@ def optimize_frames(
 
     files = [output.with_name(f"{output.stem}_{number}{output.suffix}") for number in range(1, frames + 1)]
     claim(files, force=force)
-    single, found, interrupted = _search(searched, frames, steps=steps, time_s=time_s, seed=seed)
+    problem = task.problem
+    single, found, stopped = _search(task.searched, frames, how)
     codes = [replace(code, chip_ns=chip_ns) for code in found.codes]
     for code in codes:
         problems = profile.check(Program.from_bits(code.bits, chip_ns=chip_ns)) if profile else ()
         if problems:
             raise ValueError(f"no codes were found that the device can play: {'; '.join(problems)}")
     bits = [code.bits for code in codes]
-    described = {**described, "frames": frames, "bits_of_frames": bits, "steps": found.steps}
+    described = {**task.described, "frames": frames, "bits_of_frames": bits, "steps": found.steps, "stopped": stopped}
     with new_files(files) as made:  # already: Ctrl-C from here on must not lose them
         for number, (file, code) in enumerate(zip(files, codes, strict=True), 1):
             write_code(made[file], StoredCode(code, problem={**described, "frame": number}))
@@ -101,9 +97,10 @@ def optimize_frames(
         "single": {"bits": single.bits, "open": single.open_chips, **repeated},
         "seconds": found.seconds,
         "steps": found.steps,
-        "interrupted": interrupted,
-        "seed": seed,
-        "warnings": ["the search was stopped early, these are the best codes so far"] if interrupted else [],
+        "stopped": stopped,
+        "interrupted": stopped == "interrupted",
+        "seed": how.seed,
+        "warnings": warnings_of(task, how, stopped=stopped, baselines={}),
     }
 
     def show(console: Console) -> None:
@@ -122,44 +119,43 @@ def optimize_frames(
             noise = figures["noise_gain_db"]
             rows.append((name, light, figures[lowest], "> 100" if noise is None else noise))
         console.print(table("on this motion (worse direction where unknown)", columns, rows))
-        console.print(f"together: root of the sum of |H|^2, its minimum as sampled; {found.seconds:.1f} s")
+        console.print("together: root of the sum of |H|^2, its minimum as sampled")
+        console.print(f"{found.seconds:.1f} s, {ending(stopped, found.steps)}")
 
     finish(result, as_json=as_json, show=show)
 
 
-def _search(
-    problem: SearchProblem, frames: int, *, steps: int | None, time_s: float, seed: int
-) -> tuple[ShutterCode, FramesResult, bool]:
-    """Search the best single code, then all frames' from it; whether either was stopped early."""
+def _search(problem: SearchProblem, frames: int, how: Search) -> tuple[ShutterCode, FramesResult, Stopped]:
+    """Search the best single code, then all frames' from it; and what ended them."""
     import numpy as np
 
     from cep.baselines.published import for_chips
-    from cep.search.annealing.anneal import anneal, standard_moves
+    from cep.search.annealing.anneal import anneal
     from cep.search.annealing.frames import anneal_frames
 
-    moves = steps or standard_moves(problem)
+    moves, time_s = how.moves(problem), how.limit_s
     with progress("searching a single code") as tick:
         single = anneal(
             problem,
-            rng=np.random.default_rng(seed),
+            rng=np.random.default_rng(how.seed),
             steps=moves,
             time_s=time_s / 2,
             start=[entry.code for entry in for_chips(problem.chips)],
             progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"),
         )
-    # Ctrl-C ends both searches; a time limit only the one
-    stopped = single.interrupted and single.seconds < time_s / 2
     with progress(f"searching {frames} codes") as tick:
         found = anneal_frames(
             problem,
             frames,
-            rng=np.random.default_rng([seed, 3]),
+            rng=np.random.default_rng([how.seed, 3]),
             steps=moves,
-            time_s=1e-9 if stopped else max(time_s / 2, time_s - single.seconds),
+            # Ctrl-C ends both searches; a time limit only the one
+            time_s=1e-9 if single.stopped == "interrupted" else max(time_s / 2, time_s - single.seconds),
             start=[[single.code] * frames],
             progress=lambda fraction, best: tick(fraction, f"{'+'.join(str(code.open_chips) for code in best)} open"),
         )
-    return single.code, found, single.interrupted or found.interrupted
+    worst: list[Stopped] = ["interrupted", "time", "steps", "complete"]
+    return single.code, found, min(single.stopped, found.stopped, key=worst.index)
 
 
 def _figures(joint: JointFigures, min_chip: float | None) -> dict[str, float | None]:

@@ -8,13 +8,39 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.cli.bench_options import Cache, Dask, Workers
+from cep.cli.code_options import (
+    SEARCH,
+    Alternatives,
+    ChipTime,
+    Device,
+    Direction,
+    Drift,
+    Duty,
+    Each,
+    Effort,
+    FirstOpen,
+    Fixed,
+    Frames,
+    Jitter,
+    LastOpen,
+    MaxOpen,
+    MaxPulses,
+    Method,
+    MinClosed,
+    MinOpen,
+    MinPeriod,
+    Objective,
+    OpenChips,
+    Rule,
+    Speed,
+    chips_option,
+)  # fmt: skip
 from cep.cli.commands import in_options
 from cep.cli.console import finish, progress, table
 from cep.cli.folders import only_of_folders
 from cep.cli.frames import optimize_frames
 from cep.cli.optimize_folder import optimize_folder
 from cep.cli.options import (
-    MOTION,
     CameraFile,
     Force,
     Json,
@@ -27,23 +53,8 @@ from cep.cli.options import (
     load_motion,
     output_option,
 )
-from cep.cli.search_options import (
-    CODE,
-    LIMITS,
-    OBJECTIVE,
-    SEARCH,
-    ChipTime,
-    Direction,
-    Duty,
-    MaxOpen,
-    MaxPulses,
-    MinClosed,
-    MinOpen,
-    MinPeriod,
-    OpenChips,
-    Wish,
-)
-from cep.cli.searching import Task, search_of, task_of, unplayable, warnings_of
+from cep.cli.search_options import Wish
+from cep.cli.searching import Task, ending, search_of, task_of, unplayable, warnings_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -53,141 +64,47 @@ if TYPE_CHECKING:
 __all__ = ["optimize"]
 
 _STANDARD_CHIPS = 52
-_UNSURE = "Uncertain motion and shutter"
 
 
 def optimize(
     context: typer.Context,
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
-    each: Annotated[
-        Path | None,
-        typer.Option(
-            "--each",
-            metavar="FOLDER",
-            rich_help_panel=MOTION,
-            help="A code for each motion of a folder, FOLDER/*/trajectory.json, as cep calibrate FOLDER writes them.",
-        ),
-    ] = None,
-    chips: Annotated[
-        int, typer.Option("--chips", "-n", metavar="N", min=1, help="Number of chips.", rich_help_panel=CODE)
-    ] = _STANDARD_CHIPS,
+    each: Each = None,
+    chips: Annotated[int, chips_option(least=1)] = _STANDARD_CHIPS,
     open_chips: OpenChips = None,
     duty: Duty = None,
     chip_ns: ChipTime = 1_000_000,
-    frames: Annotated[
-        int,
-        typer.Option(
-            "--frames",
-            metavar="N",
-            min=1,
-            rich_help_panel=CODE,
-            help="Exposures restored together, each with its own code: code_1.json, ... With --method anneal.",
-        ),
-    ] = 1,
-    objective: Annotated[
-        str | None,
-        typer.Option(
-            "--objective",
-            metavar="NAME",
-            rich_help_panel=OBJECTIVE,
-            help="min-mtf, flatness, noise, mse, or a mix as min-mtf:0.15,noise:1. When omitted: min-mtf for a uniform "
-            "straight motion, else mse.",
-        ),
-    ] = None,
+    frames: Frames = 1,
+    objective: Objective = None,
     direction: Direction = "auto",
-    device: Annotated[
-        str | None,
-        typer.Option(
-            "--device",
-            metavar="NAME|FILE",
-            rich_help_panel=LIMITS,
-            help="What this shutter can play: a built-in profile or a .toml file. Stricter limits may be added.",
-        ),
-    ] = None,
+    device: Device = None,
     min_open: MinOpen = 1,
     max_open: MaxOpen = None,
     min_closed: MinClosed = 1,
     min_period: MinPeriod = 1,
     max_pulses: MaxPulses = None,
-    first_open: Annotated[
-        bool, typer.Option("--first-open", help="The first chip is open.", rich_help_panel=LIMITS)
-    ] = False,
-    last_open: Annotated[
-        bool, typer.Option("--last-open", help="The last chip is open.", rich_help_panel=LIMITS)
-    ] = False,
-    fixed: Annotated[
-        str | None,
-        typer.Option(
-            "--fixed",
-            metavar="MARKS",
-            rich_help_panel=LIMITS,
-            help="A mark for each chip: 1 open, 0 closed, ? free, as 1???0?1.",
-        ),
-    ] = None,
-    alternatives: Annotated[
-        bool,
-        typer.Option(
-            "--alternatives", help="Design for the other motions that the file holds as well.", rich_help_panel=_UNSURE
-        ),
-    ] = False,
-    speed: Annotated[
-        str | None,
-        typer.Option(
-            "--speed",
-            metavar="LOW:HIGH",
-            rich_help_panel=_UNSURE,
-            help="Design for these factors of the path's length, as 0.8:1.2.",
-        ),
-    ] = None,
-    drift: Annotated[
-        float | None,
-        typer.Option(
-            "--drift",
-            metavar="SHARE",
-            rich_help_panel=_UNSURE,
-            help="Design for a shutter clock off by this share either way, as 0.02.",
-        ),
-    ] = None,
-    jitter: Annotated[
-        float | None,
-        typer.Option(
-            "--jitter",
-            metavar="CHIPS",
-            rich_help_panel=_UNSURE,
-            help="Design for edges off by this many chips rms, 0..0.15.",
-        ),
-    ] = None,
-    rule: Annotated[
-        str,
-        typer.Option(
-            "--rule",
-            metavar="NAME",
-            rich_help_panel=_UNSURE,
-            help="Over several motions: worst, or mean (weighted).",
-        ),
-    ] = "worst",
+    first_open: FirstOpen = False,
+    last_open: LastOpen = False,
+    fixed: Fixed = None,
+    alternatives: Alternatives = False,
+    speed: Speed = None,
+    drift: Drift = None,
+    jitter: Jitter = None,
+    rule: Rule = "worst",
     camera: CameraFile = None,
     photons: Photons = None,
     read_noise: ReadNoise = None,
-    method: Annotated[
-        str,
-        typer.Option(
-            "--method",
-            metavar="NAME",
-            rich_help_panel=SEARCH,
-            help="anneal; or exact, which proves the best min-mtf, to about 40 chips.",
-        ),
-    ] = "anneal",
+    method: Method = "anneal",
     time_s: Annotated[
-        float,
+        float | None,
         typer.Option(
             "--time",
             metavar="S",
             rich_help_panel=SEARCH,
-            help="Time limit of a code, s; what it ends differs from run to run. A proof runs on.",
+            help="Search each code for so many seconds, however many moves that is: the code depends on the machine.",
         ),
-    ] = 60.0,
+    ] = None,
     steps: Annotated[
         int | None,
         typer.Option(
@@ -195,18 +112,11 @@ def optimize(
             metavar="N",
             min=1,
             rich_help_panel=SEARCH,
-            help="Moves to try; the same seed and moves give the same code. As suits the motion.",
+            help="Make so many moves, however long it takes: the same seed and moves give the same code. With --time "
+            "whichever ends first; without either as many as suit the motion, for 60 s at most.",
         ),
     ] = None,
-    effort: Annotated[
-        str,
-        typer.Option(
-            "--bound",
-            metavar="NAME",
-            rich_help_panel=SEARCH,
-            help="quick; or sdp: half a minute for a tighter bound, and starts drawn from it, along curved motion.",
-        ),
-    ] = "quick",
+    effort: Effort = "quick",
     workers: Workers = None,
     dask: Dask = None,
     cache: Cache = None,
@@ -232,6 +142,7 @@ def optimize(
       --objective noise: the noise gain that none can fall below. null for other objectives.
     - gap: how far this code is from the bound, 0..1; in dB for the noise.
     - noise_gain_db: null above 100 dB, as of codes with a zero.
+    - stopped: steps (all moves made), time, proven, complete (no other code keeps the limits), or interrupted (Ctrl-C).
     - proven: no code is better, over the whole unit circle; or, unless one straight motion is all there is, at the
       band's samples.
 
@@ -286,8 +197,7 @@ def optimize(
         if method != "anneal":
             raise ValueError(f"--frames: not valid with --method {method}, which searches a single code")
         optimize_frames(
-            problem, wanted.searched, frames, described=described, profile=profile, chip_ns=chip_ns, steps=steps,
-            time_s=time_s, seed=seed, output=file, force=force, as_json=as_json,
+            wanted, how, frames, profile=profile, chip_ns=chip_ns, output=file, force=force, as_json=as_json,
         )  # fmt: skip
         return
     claim([file], force=force, inputs=[] if trajectory is None else [trajectory])
@@ -297,16 +207,16 @@ def optimize(
     code = replace(found.code, chip_ns=chip_ns)
     if reason := unplayable(code.bits, profile, chip_ns):
         raise ValueError(reason)
-    described = {**described, "steps": found.steps, "proof": found.proof}
+    described = {**described, "steps": found.steps, "stopped": found.stopped, "proof": found.proof}
     write_code(file, StoredCode(code, problem=described))  # already: Ctrl-C from here on must not lose it
-    worth = appraise(problem, code, along=wanted.along, effort=how.effort, seed=seed, time_s=time_s)
+    worth = appraise(problem, code, along=wanted.along, effort=how.effort, seed=seed, time_s=how.limit_s)
     write_code(file, StoredCode(code, worth.ours.metrics.to_dict(), described, worth.certificate))
     told = report(found, worth)
     result = {
         "file": file,
         **told,
         "seed": seed,
-        "warnings": warnings_of(problem, interrupted=found.interrupted, method=method, baselines=told["baselines"]),
+        "warnings": warnings_of(wanted, how, stopped=found.stopped, baselines=told["baselines"]),
     }
     straight = wanted.along is None
 
@@ -314,7 +224,8 @@ def optimize(
         from cep.wording import number
 
         console.print(f"{file}: {code.bits}")
-        console.print(f"{code.open_chips} of {chips} chips open, {code.pulses} openings, {found.seconds:.1f} s")
+        light = f"{code.open_chips} of {chips} chips open, {code.pulses} openings"
+        console.print(f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}")
         columns = ("code", "open", "min |P|, chips" if straight else "min MTF", "noise gain, dB", "MSE, dB")
         lowest = "min_chip" if straight else "min_mtf"
         rows = [

@@ -28,7 +28,7 @@ _COLUMNS = {
     "seconds": "s",
 }
 _RESOLVED_PX = 1e4  # a path that tells any chips apart
-_MORE = ("chips", "duty", "bound", "gap", "steps", "interrupted", "proven", "bits", "warnings", "failure")
+_MORE = ("chips", "duty", "bound", "gap", "steps", "stopped", "proven", "bits", "warnings", "failure")
 
 
 def optimize_folder(
@@ -169,8 +169,6 @@ def _written(
         file = target / name / _CODE
         file.parent.mkdir(parents=True, exist_ok=True)
         write_code(file, stored)
-        warnings = warnings_of(tasks[name].problem, interrupted=False, method=how.method, baselines=told["baselines"])
-        if told["interrupted"]:
-            warnings.append("--time ended the search: another run may give another code")
+        warnings = warnings_of(tasks[name], how, stopped=told["stopped"], baselines=told["baselines"])
         codes[name] = {"file": file, **told, "warnings": warnings}
     return codes

@@ -7,6 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cep.cli.code_options import (
+    SEARCH,
+    ChipTime,
+    Direction,
+    Duty,
+    MaxOpen,
+    MaxPulses,
+    MinClosed,
+    MinOpen,
+    MinPeriod,
+    OpenChips,
+    chips_option,
+)  # fmt: skip
 from cep.cli.console import finish, progress, table
 from cep.cli.options import (
     COMMON,
@@ -22,19 +35,7 @@ from cep.cli.options import (
     load_motion,
     output_option,
 )
-from cep.cli.search_options import (
-    CODE,
-    SEARCH,
-    ChipTime,
-    Direction,
-    Duty,
-    MaxOpen,
-    MaxPulses,
-    MinClosed,
-    MinOpen,
-    MinPeriod,
-    OpenChips,
-)
+from cep.cli.searching import ending
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -50,9 +51,7 @@ _FIGURES = (".png", ".pdf", ".svg")
 def pareto(
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
-    chips: Annotated[
-        int, typer.Option("--chips", "-n", metavar="N", min=2, help="Number of chips.", rich_help_panel=CODE)
-    ] = 52,
+    chips: Annotated[int, chips_option(least=2)] = 52,
     open_chips: OpenChips = None,
     duty: Duty = None,
     chip_ns: ChipTime = 1_000_000,
@@ -66,8 +65,14 @@ def pareto(
     photons: Photons = None,
     read_noise: ReadNoise = None,
     time_s: Annotated[
-        float, typer.Option("--time", metavar="S", help="Time limit of the search, s.", rich_help_panel=SEARCH)
-    ] = 60.0,
+        float | None,
+        typer.Option(
+            "--time",
+            metavar="S",
+            rich_help_panel=SEARCH,
+            help="Search for so many seconds, 60 when --steps is omitted too: the front depends on the machine.",
+        ),
+    ] = None,
     steps: Annotated[
         int | None,
         typer.Option(
@@ -75,7 +80,8 @@ def pareto(
             metavar="N",
             min=0,
             rich_help_panel=SEARCH,
-            help="Moves to try; the same seed and moves give the same front. Until --time.",
+            help="Make so many moves, however long it takes: the same seed and moves give the same front. With --time "
+            "whichever ends first.",
         ),
     ] = None,
     output: Annotated[Path, output_option("File to write.")] = Path("front.json"),
@@ -106,11 +112,14 @@ def pareto(
 
     Example: cep pareto --chips 52 --open 22:40 --time 60 -o front.json --plot front.png
     """
+    import math
+
     import numpy as np
 
     from cep.baselines.published import for_chips
     from cep.cli.search_options import DIRECTIONS, open_limits
     from cep.files import FRONT_SCHEMA, json_text
+    from cep.optimize import STANDARD_TIME_S
     from cep.outputs import claim, new_files, write_text
     from cep.plots.canvas import save
     from cep.plots.pareto import pareto_figure
@@ -137,9 +146,10 @@ def pareto(
         min_period=min_period,
         camera=load_camera(camera, photons=photons, read_noise=read_noise),
     )
+    limit_s = time_s if time_s is not None else STANDARD_TIME_S if steps is None else math.inf
     claim([output, picture], force=force, inputs=[] if trajectory is None else [trajectory])
     with progress("searching") as tick:
-        front = pareto_front(problem, rng=np.random.default_rng(seed), steps=steps, time_s=time_s, progress=tick)
+        front = pareto_front(problem, rng=np.random.default_rng(seed), steps=steps, time_s=limit_s, progress=tick)
     if not front.points:
         raise ValueError("--open: every code found of so many open chips has a zero, allow others or search longer")
     entries = for_chips(chips)
@@ -165,13 +175,18 @@ def pareto(
             "max_pulses": max_pulses,
             "camera": problem.camera.to_dict(),
             "steps": front.steps,
+            "stopped": front.stopped,
             "seed": seed,
         },
     }
     with new_files([output, picture]) as made:
         write_text(made[output], json_text(document))
         save(pareto_figure(front, published), made[picture])
-    warnings = ["the search was stopped early, this is the front so far"] if front.interrupted else []
+    warnings = []
+    if front.stopped == "interrupted":
+        warnings.append("the search was stopped early, this is the front so far")
+    elif front.stopped == "time" and steps is not None:
+        warnings.append(f"--time ended the search before its {steps:,} moves: another run may give another front")
     if front.sampled:
         warnings.append("along a curved path minima over samples prove nothing: the front is over noise and light")
     result = {
@@ -180,7 +195,8 @@ def pareto(
         **{name: document[name] for name in ("unit", "points", "knees", "published")},
         "seconds": front.seconds,
         "steps": front.steps,
-        "interrupted": front.interrupted,
+        "stopped": front.stopped,
+        "interrupted": front.stopped == "interrupted",
         "seed": seed,
         "warnings": warnings,
     }
@@ -191,7 +207,8 @@ def _show(console: Console, front: Front, published: dict[str, FrontPoint], outp
     from cep.mtf import HOPELESS_DB
     from cep.search.fronts.front import knees
 
-    console.print(f"{output}, {picture}: {len(front.points)} codes that none found beats, {front.seconds:.1f} s")
+    ended = f"{front.seconds:.1f} s, {ending(front.stopped, front.steps)}"
+    console.print(f"{output}, {picture}: {len(front.points)} codes that none found beats; {ended}")
     least = {"chips": "min |P|, chips", "light-true": "min MTF"}.get(front.unit, "min MTF, sampled")
     named = knees(front)
     rows = [

@@ -1,12 +1,10 @@
-"""Options that say what code to search for, and the problem that those of ``cep optimize`` make."""
+"""Options of ``cep optimize`` that say what to search for, and the problem that they make."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
@@ -16,41 +14,7 @@ if TYPE_CHECKING:
     from hw.device import DeviceProfile
     from motdiff.files import StoredMotion
 
-__all__ = [
-    "CODE", "DIRECTIONS", "LIMITS", "OBJECTIVE", "SEARCH", "ChipTime", "Direction", "Duty", "MaxOpen", "MaxPulses",
-    "MinClosed", "MinOpen", "MinPeriod", "OpenChips", "Wish", "on_the_circle", "open_limits", "problem_of",
-]  # fmt: skip
-
-CODE, OBJECTIVE, LIMITS, SEARCH = "Code", "Objective", "Limits of the shutter", "Search"
-"""Panels of the help pages."""
-
-
-def _limit(name: str, help: str) -> Any:
-    return typer.Option(name, metavar="N", min=1, help=help, rich_help_panel=LIMITS)
-
-
-OpenChips = Annotated[
-    str | None, typer.Option("--open", metavar="K|LOW:HIGH", help="Open chips; any when omitted.", rich_help_panel=CODE)
-]
-Duty = Annotated[
-    str | None,
-    typer.Option(
-        "--duty", metavar="LOW:HIGH", help="Instead of --open: open fraction of the time, 0..1.", rich_help_panel=CODE
-    ),
-]
-ChipTime = Annotated[int, typer.Option("--chip-ns", metavar="NS", min=1, help="Chip time, ns.", rich_help_panel=CODE)]
-Direction = Annotated[
-    str,
-    typer.Option(
-        "--direction", metavar="WAY", rich_help_panel=OBJECTIVE,
-        help="Of the motion: unknown (the worse way counts), forward, or auto: as the file says.",
-    ),
-]  # fmt: skip
-MinOpen = Annotated[int, _limit("--min-open", "Shortest open run, chips.")]
-MaxOpen = Annotated[int | None, _limit("--max-open", "Longest open run, chips.")]
-MinClosed = Annotated[int, _limit("--min-closed", "Shortest closed run, chips.")]
-MinPeriod = Annotated[int, _limit("--min-period", "Fewest chips from one opening to the next.")]
-MaxPulses = Annotated[int | None, _limit("--max-pulses", "Most open runs.")]
+__all__ = ["DIRECTIONS", "Wish", "on_the_circle", "open_limits", "problem_of"]
 
 DIRECTIONS = ("auto", "unknown", "forward")
 _SPEEDS = 5

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from motdiff.files import StoredMotion
     from motdiff.trajectory import Trajectory
 
-__all__ = ["Task", "search_of", "task_of", "unplayable", "warnings_of"]
+__all__ = ["Task", "ending", "search_of", "task_of", "unplayable", "warnings_of"]
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Task:
     described: Mapping[str, Any]
 
 
-def search_of(method: str, effort: str, *, steps: int | None, time_s: float, seed: int) -> Search:
+def search_of(method: str, effort: str, *, steps: int | None, time_s: float | None, seed: int) -> Search:
     """Check the options that say how to search."""
     from cep.optimize import Search
 
@@ -49,8 +49,6 @@ def search_of(method: str, effort: str, *, steps: int | None, time_s: float, see
         raise ValueError(f"--method: must be anneal or exact, got {method!r}")
     if effort not in ("quick", "sdp"):
         raise ValueError(f"--bound: must be quick or sdp, got {effort!r}")
-    if method == "exact" and steps is not None:
-        raise ValueError("--steps: not valid with --method exact, which counts every code")
     return Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)  # type: ignore[arg-type]
 
 
@@ -115,14 +113,27 @@ def unplayable(bits: str, profile: DeviceProfile | None, chip_ns: int) -> str:
     return f"no code was found that the device can play: {'; '.join(problems)}" if problems else ""
 
 
-def warnings_of(
-    problem: SearchProblem, *, interrupted: bool, method: str, baselines: Mapping[str, Mapping[str, Any]]
-) -> list[str]:
+def ending(stopped: str, steps: int) -> str:
+    """Say in words what ended a search after so many moves, or codes counted."""
+    return {
+        "steps": f"all {steps:,} moves made",
+        "time": f"stopped by the time, {steps:,} moves made",
+        "interrupted": "stopped by Ctrl-C",
+        "complete": "no other code keeps the limits",
+        "proven": f"all {steps:.2g} codes counted",
+    }[stopped]
+
+
+def warnings_of(task: Task, how: Search, *, stopped: str, baselines: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Say what the user should know of the result, and of its baselines as reported, besides their figures."""
-    told = []
-    if interrupted:
-        what = "the proof was stopped early" if method == "exact" else "the search was stopped early"
+    problem, told = task.problem, []
+    if stopped == "interrupted":
+        what = "the proof was stopped early" if how.method == "exact" else "the search was stopped early"
         told.append(f"{what}, this is the best code so far")
+    moves = how.moves(task.searched)
+    if stopped == "time" and moves is not None:
+        limit = "--time" if how.time_s is not None else f"the limit of {how.limit_s:g} s"
+        told.append(f"{limit} ended the search before its {moves:,} moves: another run may give another code")
     told += [
         f"the search of the {name} was stopped early, by --time or Ctrl-C: another run may give another"
         for name, figures in baselines.items()

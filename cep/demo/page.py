@@ -168,7 +168,7 @@ def _code(chain: Chain) -> Section:
             ),
         ),
         ("The search was stopped by its time limit: another machine may find another code.",)
-        if chain.search.interrupted
+        if chain.search.stopped == "time"
         else (),
     )
 

@@ -147,7 +147,7 @@ def test_same_seed_same_code_and_starting_points_help():
     problem = SearchProblem(chips=52, open_range=(26, 26))
     first, second = (anneal(problem, rng=np.random.default_rng(7), steps=5000) for _ in range(2))
     assert (first.code, first.objective) == (second.code, second.objective)
-    assert not first.interrupted
+    assert first.stopped == "steps"
     assert first.steps >= 5000
     started = anneal(problem, rng=np.random.default_rng(7), steps=64, start=[PUBLISHED["raskar-52"]])
     assert min_chip(started.code) >= min_chip(PUBLISHED["raskar-52"]) - 1e-9
@@ -164,7 +164,7 @@ def test_interrupt_returns_the_best_so_far():
             raise KeyboardInterrupt
 
     found = anneal(problem, rng=np.random.default_rng(0), steps=10**9, progress=progress)
-    assert found.interrupted
+    assert found.stopped == "interrupted"
     assert 0 < found.steps < 10**9
     fractions = [fraction for fraction, _ in seen]
     assert fractions == sorted(fractions)
@@ -175,9 +175,35 @@ def test_interrupt_returns_the_best_so_far():
 def test_time_limit_ends_a_search():
     problem = SearchProblem(chips=20)
     found = anneal(problem, rng=np.random.default_rng(0), steps=10**9, time_s=0.05)
-    assert found.interrupted
+    assert found.stopped == "time"
     assert found.steps < 10**9
-    assert not anneal(problem, rng=np.random.default_rng(0), steps=None, time_s=0.05).interrupted
+
+
+def test_a_search_without_a_number_of_moves_goes_on_for_its_time(monkeypatch):
+    """However many moves that is: the clock runs by a fiftieth of the time with each look at it by the caller."""
+    clock, told = [0.0], []
+    monkeypatch.setattr("cep.search.annealing.budget.time.monotonic", lambda: clock[0])
+
+    def progress(fraction, _best):
+        told.append(fraction)
+        clock[0] += 2.0
+
+    found = anneal(SearchProblem(chips=12), rng=np.random.default_rng(0), steps=None, time_s=100.0, progress=progress)
+    assert found.stopped == "time"
+    assert sum(fraction < 0.9 for fraction in told) >= 49
+    assert found.steps > 0
+    # without a limit on the time the moves end it, whatever the clock says
+    clock[0] = 0.0
+    found = anneal(
+        SearchProblem(chips=12), rng=np.random.default_rng(0), steps=90_000, time_s=np.inf, progress=progress
+    )
+    assert found.stopped == "steps"
+    assert found.steps >= 90_000
+
+
+def test_nothing_to_choose_is_complete():
+    found = anneal(SearchProblem(chips=6, open_range=(6, 6)), rng=np.random.default_rng(0), steps=None, time_s=60.0)
+    assert (found.code.bits, found.steps, found.stopped) == ("111111", 0, "complete")
 
 
 @pytest.mark.parametrize("ends", ["in time", "late", "ctrl-c"])
@@ -195,7 +221,7 @@ def test_a_polish_ends_with_the_time_or_ctrl_c(monkeypatch, ends):
     found = anneal(problem, rng=np.random.default_rng(0), steps=2000, time_s=10.0, progress=progress)
     fractions = [fraction for fraction, _ in told]
     assert fractions == sorted(fractions)
-    assert found.interrupted == (ends != "in time")
+    assert found.stopped == {"in time": "steps", "late": "time", "ctrl-c": "interrupted"}[ends]
     assert fractions[-1] == 1.0 if ends != "ctrl-c" else 0.9 < fractions[-1] < 1.0
     # what the polish had reached is kept
     fine = Objective(problem, oversampling=64, dtype=np.float64)

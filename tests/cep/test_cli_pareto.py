@@ -29,7 +29,7 @@ def test_both_files_are_written(cep, workplace):
         assert point["open"] == code.open_chips
         assert 6 <= code.open_chips <= 10
         assert point["dnf_db"] == pytest.approx(point["noise_gain_db"] + 20 * np.log10(code.duty))
-    assert {"seconds", "steps", "interrupted", "seed", "warnings"} <= set(found)
+    assert {"seconds", "steps", "stopped", "interrupted", "seed", "warnings"} <= set(found)
     assert stored["problem"]["seed"] == 2
 
 
@@ -61,6 +61,7 @@ def test_an_interrupt_keeps_the_front(cep, workplace, monkeypatch):
     monkeypatch.setattr(module, "pareto_front", interrupted_soon)
     found = cep.succeeds("pareto", "--chips", "20", "-o", "f.json")
     assert found["interrupted"]
+    assert found["stopped"] == "interrupted"
     assert "early" in found["warnings"][0]
     assert json.loads(Path("f.json").read_text())["points"] == found["points"]
     assert Path("f.png").exists()
@@ -99,9 +100,9 @@ def test_repeatable(cep, workplace):
         ("chips", ("--linear", "1")),
         ("--plot", ("--plot", "front.gif")),
         ("--plot", ("-o", "a.png", "--plot", "a.png")),
-        ("min_open", ("--min-open", "12", "--open", "3")),
-        ("max_open 2 and min_period 9", ("--max-open", "2", "--min-period", "9", "--open", "7")),
-        ("time_s", ("--time", "0")),
+        ("--min-open", ("--min-open", "12", "--open", "3")),
+        ("--max-open 2 and --min-period 9", ("--max-open", "2", "--min-period", "9", "--open", "7")),
+        ("--time", ("--time", "0")),
         ("zero", ("--open", "16", "--steps", "0")),
         ("no folder", ("-o", "nowhere/front.json")),
         ("sharp.png", ("--plot", "sharp.png")),

@@ -1,6 +1,8 @@
 """``cep optimize`` from the shell: proofs, forced chips, motions that may differ, a shutter's ramps."""
 
+import importlib
 import json
+import math
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,6 +11,9 @@ import pytest
 
 from cep.code import ShutterCode
 from cep.files import read_code
+from cep.search.annealing.anneal import standard_moves
+from cep.search.fronts import pareto as fronts
+from cep.search.problem import SearchProblem
 from hw.device import load_profile
 from hw.program import Program
 from motdiff.files import StoredMotion, write_motion
@@ -135,7 +140,7 @@ def test_only_what_a_strobe_can_play_is_proposed(cep, workplace):
             ("--min-period", "7", "--max-open", "2", "--open", "5"),
             "--open 5..5, --max-open 2 and --min-period 7 conflict",
         ),
-        (("--device", "dark.toml"), "chip_ns: dark opens for 10 ns at most, a chip must not last longer"),
+        (("--device", "dark.toml"), "--chip-ns: dark opens for 10 ns at most, a chip must not last longer"),
     ],
 )
 def test_bad_wishes_are_one_line(cep, workplace, options, message):
@@ -156,7 +161,9 @@ def test_a_mix_is_searched(cep, workplace):
 
 def test_nothing_to_choose_takes_no_time(cep, workplace):
     found = cep.succeeds("optimize", "--linear", "6", "--chips", "6", "--open", "6", "-o", "all.json")
-    assert (found["bits"], found["steps"], found["interrupted"]) == ("111111", 0, False)
+    assert (found["bits"], found["steps"], found["stopped"]) == ("111111", 0, "complete")
+    cep("optimize", "--linear", "6", "--chips", "6", "--open", "6", "--time", "60", "--force")
+    assert "no other code keeps the limits" in cep.out
 
 
 def test_starts_from_the_relaxation(cep, workplace):
@@ -194,15 +201,111 @@ def test_a_comparison_that_the_time_ended_is_told(cep, workplace, monkeypatch):
 
     def cut_short(_length_px, chips, *, time_s, **_options):
         limits.append(time_s)
-        return SimpleNamespace(code=ShutterCode("1" * chips), interrupted=True)
+        return SimpleNamespace(code=ShutterCode("1" * chips), stopped="time")
 
     monkeypatch.setattr("cep.baselines.compare.dnf_search", cut_short)
     searched = ["optimize", "--linear", "12", "--chips", "12", "--steps", "500", "--time", "9"]
     found = cep.succeeds(*searched, "--force")
     assert limits == [9.0]
     assert found["baselines"]["length-only code"]["stopped_early"]
-    assert not found["interrupted"]
+    assert found["stopped"] == "steps"
     (warning,) = found["warnings"]
     assert "the search of the length-only code was stopped early" in warning
     cep(*searched, "--force")
     assert cep.err == f"cep: warning: {warning}\n"
+
+
+# -- what ends a search -----------------------------------------------------------------------------------------------
+
+QUICK = ("optimize", "--linear", "12", "--chips", "12", "--force")
+STANDARD = standard_moves(SearchProblem(chips=12))
+
+
+@pytest.fixture
+def budgets(monkeypatch):
+    """Collect the budget of every search of a command, and make it end at once."""
+    seen = []
+
+    def hasty(real):
+        def search(problem, *arguments, steps, time_s, **options):
+            seen.append((steps, time_s))
+            return real(problem, *arguments, **options, steps=500, time_s=60.0)
+
+        return search
+
+    for place in ("anneal.anneal", "frames.anneal_frames"):
+        name = f"cep.search.annealing.{place}"
+        module, function = name.rsplit(".", 1)
+        monkeypatch.setattr(name, hasty(getattr(importlib.import_module(module), function)))
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("given", "budget"),
+    [
+        ((), (STANDARD, 60.0)),
+        (("--time", "7"), (None, 7.0)),
+        (("--steps", "900"), (900, math.inf)),
+        (("--steps", "900", "--time", "7"), (900, 7.0)),
+    ],
+)
+def test_the_time_rules_unless_moves_are_given(cep, workplace, budgets, given, budget):
+    cep.succeeds(*QUICK, *given)
+    assert budgets == [budget]
+    del budgets[:]
+    cep.succeeds(*QUICK, *given, "--frames", "2")
+    (single, joint), (steps, time_s) = budgets, budget
+    assert single == (steps, time_s / 2)
+    assert joint[0] == steps
+    assert time_s / 2 <= joint[1] <= time_s
+
+
+@pytest.mark.parametrize("more", [(), ("--frames", "2")])
+def test_the_result_says_what_ended_the_search(cep, workplace, more):
+    for given, stopped, words in (
+        (("--steps", "900"), "steps", "moves made"),
+        (("--time", "0.2"), "time", "stopped by the time"),
+        (("--steps", "1000000000", "--time", "0.2"), "time", "stopped by the time"),
+    ):
+        found = cep.succeeds(*QUICK, *more, *given)
+        assert (found["stopped"], found["interrupted"]) == (stopped, False)
+        assert found["steps"] >= (900 if stopped == "steps" else 1)
+        assert [line for line in found["warnings"] if "ended the search before its 1,000,000,000 moves" in line] == (
+            found["warnings"] if len(given) == 4 else []
+        )
+        file = found["files"][0] if more else found["file"]
+        assert read_code(file).problem["stopped"] == stopped
+        cep(*QUICK, *more, *given)
+        assert words in cep.out
+
+
+def test_a_proof_says_so_and_takes_no_budget(cep, workplace):
+    assert cep.succeeds(*QUICK, "--method", "exact")["stopped"] == "proven"
+    for option in ("--steps", "--time"):
+        line = cep.refuses(*QUICK, "--method", "exact", option, "9")
+        assert f"{option}: not valid with --method exact" in line
+
+
+def test_the_front_says_what_ended_it(cep, workplace):
+    quick = ("pareto", "--chips", "12", "--open", "6", "--force")
+    for given, stopped in (
+        (("--steps", "900"), "steps"),
+        (("--time", "0.2"), "time"),
+        (("--steps", "1000000000", "--time", "0.2"), "time"),
+    ):
+        found = cep.succeeds(*quick, *given)
+        assert (found["stopped"], found["interrupted"]) == (stopped, False)
+        assert bool(found["warnings"]) == (len(given) == 4)
+
+
+def test_the_fronts_time_rules_unless_moves_are_given(cep, workplace, monkeypatch):
+    seen, real = [], fronts.pareto_front
+
+    def hasty(problem, *, steps, time_s, **options):
+        seen.append((steps, time_s))
+        return real(problem, **options, steps=100, time_s=60.0)
+
+    monkeypatch.setattr(fronts, "pareto_front", hasty)
+    for given in ((), ("--time", "7"), ("--steps", "90"), ("--steps", "90", "--time", "7")):
+        cep.succeeds("pareto", "--chips", "12", "--open", "6", "--force", *given)
+    assert seen == [(None, 60.0), (None, 7.0), (90, math.inf), (90, 7.0)]

@@ -15,8 +15,6 @@ from cep.bench.codes_report import CODE_HEAD
 from cep.cli.bench_options import show_tables
 from cep.cli.console import Table, table
 from cep.cli.folders import finish_folder
-from motdiff.files import StoredMotion, write_motion
-from motdiff.trajectory import Trajectory
 
 WIDTHS = (60, 80, 120)
 
@@ -40,7 +38,6 @@ def check(made):
             pieces = [piece for word in name.replace("\\[", "[").split() for piece in re.findall(".{1,16}", word)]
             joined = "".join(words)
             assert all(piece in words or piece in joined for piece in pieces), (name, text)
-        assert not made.columns or made.columns[0] not in left_out.split("; ")
         for head in made.columns:
             assert all(word in words for word in head.split()) or head in left_out, (head, text)
         if width == 120:
@@ -93,7 +90,7 @@ def shown(cep, monkeypatch):
     def run(*arguments):
         cep(*arguments)
         assert cep.code == 0, cep.err
-        return made
+        return made.copy()  # printing them again adds to it
 
     return run
 
@@ -101,21 +98,15 @@ def shown(cep, monkeypatch):
 @pytest.mark.parametrize(
     ("command", "tables"),
     [
-        ("optimize --linear 52 --open 26 --steps 500", 1),
-        ("optimize --trajectory trajectory.json --chips 12 --steps 500", 1),
+        ("optimize --linear 52 --open 26 --steps 500 --force", 1),
+        ("optimize --trajectory trajectory.json --chips 12 --steps 500 --force", 1),
         ("optimize --linear 24 --chips 24 --open 12 --frames 2 --steps 500", 1),
-        ("optimize --each motions --chips 12 --steps 500 --workers 1", 1),
-        ("pareto --chips 52 --open 26 --steps 500", 1),
+        ("pareto --chips 13 --open 6:10 --steps 500", 1),
         ("audit 101100111000010 --flips 1", 3),
         ("mtf --linear 52 --code raskar-52", 1),
-        ("bench codes bdinr-8 barker-13 --time 0.1 --workers 1", 1),
     ],
 )
 def test_every_commands_tables_at_every_width(shown, workplace, command, tables):
-    if "motions" in command:
-        for name in ("a long name of a motion", "an_even_longer_name_of_a_motion_without_spaces", "b"):
-            (workplace / "motions" / name).mkdir(parents=True)
-            write_motion(workplace / "motions" / name / "trajectory.json", StoredMotion(Trajectory.straight(20.0)))
     made = shown(*command.split())
     assert len(made) == tables
     for one in made:
@@ -154,4 +145,4 @@ def test_the_table_of_a_folder_says_what_failed_at_every_width(capsys, monkeypat
         out = capsys.readouterr().out
         assert " failed" in out
         assert "DSC0123456789012" in out
-        assert "left out" in out
+        assert ("left out" in out) == (width < 120)

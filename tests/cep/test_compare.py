@@ -72,7 +72,7 @@ def test_the_search_among_the_baselines_keeps_the_time_limit_and_says_what_it_en
 
     def cut_short(_length_px, chips, *, time_s, **_options):
         limits.append(time_s)
-        return SimpleNamespace(code=ShutterCode("1" * chips), interrupted=True)
+        return SimpleNamespace(code=ShutterCode("1" * chips), stopped="interrupted")
 
     monkeypatch.setattr("cep.baselines.compare.dnf_search", cut_short)
     rows = named(SearchProblem.along(BENT, chips=9), ShutterCode("110100011"), **given)

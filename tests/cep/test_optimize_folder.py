@@ -139,7 +139,7 @@ def test_stopped_it_writes_what_is_finished_and_goes_on(cep, motions, monkeypatc
     monkeypatch.setattr(annealing, "anneal", interrupted)
     monkeypatch.setattr(
         "cep.baselines.compare.dnf_search",
-        lambda _length, chips, **_options: SimpleNamespace(code=annealing.ShutterCode("1" * chips), interrupted=False),
+        lambda _length, chips, **_options: SimpleNamespace(code=annealing.ShutterCode("1" * chips), stopped="steps"),
     )
     cep(*EACH, "--json")
     assert cep.code == INTERRUPTED
@@ -159,8 +159,16 @@ def test_a_search_that_the_time_ended_is_told(cep, motions):
         "optimize", "--each", "motions", "--chips", "12", "--steps", "1000000000", "--time", "0.01", "--workers", "1"
     )
     assert len(found["codes"]) == 3
-    assert all(any("--time ended the search" in line for line in one["warnings"]) for one in found["codes"].values())
-    assert "a: --time ended the search: another run may give another code" in found["warnings"]
+    told = "--time ended the search before its 1,000,000,000 moves: another run may give another code"
+    assert all(told in one["warnings"] and one["stopped"] == "time" for one in found["codes"].values())
+    assert f"a: {told}" in found["warnings"]
+    assert {row["stopped"] for row in rows_of("motions/codes.csv")} == {"time"}
+
+
+def test_a_time_without_moves_is_no_cut(cep, motions):
+    found = cep.succeeds("optimize", "--each", "motions", "--chips", "12", "--time", "0.1", "--workers", "1")
+    assert {one["stopped"] for one in found["codes"].values()} == {"time"}
+    assert not any("ended the search" in line for line in found["warnings"])
 
 
 def test_people_see_a_table(cep, motions):
@@ -195,10 +203,10 @@ def taken(_):
         (("--each", "motions", "--trajectory", "motions/a/trajectory.json"), None, "--each: takes the place"),
         (("--each", "motions", "--frames", "2"), None, "--each: takes the place"),
         (("--each", "motions", "--open", "40"), None, "--open: must lie within 1..12, got 40"),
-        (("--each", "motions", "--time", "0"), None, "time_s: must be above 0 seconds"),
+        (("--each", "motions", "--time", "0"), None, "--time: must be above 0 seconds"),
         (("--each", "motions", "--open", "40"), taken, "--open: must lie within 1..12, got 40"),
         (("--each", "motions", "--open", "13", "--chips", "13", "--max-open", "2"), None, "open"),
-        (("--each", "motions", "--method", "exact"), None, "--steps: a proof with --method exact"),
+        (("--each", "motions", "--method", "exact"), None, "--steps: not valid with --method exact"),
         (("--each", "motions", "--workers", "0"), None, "--workers"),
         (("--trajectory", "motions"), None, "motions: is a folder; --each FOLDER searches a code for each"),
         (("--linear", "12", "--cache", "cells"), None, "--cache: is for a folder (--each)"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,7 +61,6 @@ DESIGNS: dict[str, Design] = {
 """Rows of the table, in its order."""
 
 _RANDOM_CODES = 15
-_FOREVER_S = 1e9
 
 
 @dataclass(frozen=True)
@@ -125,8 +125,8 @@ def _searched(problem: SearchProblem, *, steps: int, rng: np.random.Generator) -
     coarse = Objective(problem, oversampling=8)
     start = [best_snapshot(coarse), best_strobe(coarse), *(entry.code for entry in for_chips(problem.chips))]
     # other cells run beside
-    found = anneal(problem, rng=rng, steps=steps, time_s=_FOREVER_S, threads=1, start=start)
-    if found.interrupted:
+    found = anneal(problem, rng=rng, steps=steps, time_s=math.inf, threads=1, start=start)
+    if found.stopped == "interrupted":
         raise KeyboardInterrupt  # the best so far has not had the others' budget, and a cell is kept
     return found.code
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cep.band import straight_axis
 from cep.code import ShutterCode
 from cep.mtf import CodeMetrics
-from cep.search.annealing.budget import CHAINS, Budget
+from cep.search.annealing.budget import CHAINS, Budget, Stopped
 from cep.search.annealing.chains import Cooling, Crew, Walks
 from cep.search.annealing.polish import Polished, polish
 from cep.search.annealing.tables import lay_out
@@ -60,8 +60,9 @@ class SearchResult:
     seconds : float
     steps : int
         Moves tried.
-    interrupted : bool
-        Whether Ctrl-C or the time limit ended it: a time limit makes the outcome depend on the machine.
+    stopped : {"steps", "time", "interrupted", "complete"}
+        What ended it: all moves made; the time limit, which makes the outcome depend on the machine; Ctrl-C; or that
+        no other code keeps the limits.
     """
 
     code: ShutterCode
@@ -69,7 +70,7 @@ class SearchResult:
     metrics: CodeMetrics
     seconds: float
     steps: int
-    interrupted: bool
+    stopped: Stopped
 
 
 @dataclass
@@ -114,9 +115,9 @@ def anneal(
     steps : int, optional
         Moves to try, over all chains. None searches for ``time_s``, and is not reproducible.
     time_s : float
-        Upper limit of the moves, seconds. The closing polish ends at the latest a tenth of it, or half a second, later;
-        after Ctrl-C, within half a second. What prepares the polish and measures the code comes on top: next to nothing
-        for 52 chips, 2 to 3 s for 512.
+        Upper limit of the moves, seconds; ``math.inf`` for none. The closing polish ends at the latest a tenth of it,
+        or half a second, later; after Ctrl-C, within half a second. What prepares the polish and measures the code
+        comes on top: next to nothing for 52 chips, 2 to 3 s for 512.
     start : iterable of ShutterCode
         Codes to start from besides random ones, such as published ones; those that break a limit are left out.
     progress : callable, optional
@@ -142,7 +143,7 @@ def anneal(
     seeds = np.array([*given, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
     elites.offer(seeds[problem.satisfied(seeds)])
     free = problem.free_chips
-    interrupted = stopped = False
+    stopped: Stopped = "complete"
 
     def tick(moves: int) -> bool:
         budget.done += moves
@@ -158,9 +159,9 @@ def anneal(
                 plans = _plans(problem, elites, budget.chain(round_number), rng, first=round_number == 0)
                 crews[round_number % len(crews)].run(plans, tick, elites.offer)
                 round_number += 1
-            interrupted = steps is not None and budget.done < steps
+            stopped = budget.stopped()
     except KeyboardInterrupt:
-        interrupted = stopped = True
+        stopped = "interrupted"
 
     def told(piece: Polished, over: bool) -> None:
         if progress is not None:
@@ -168,9 +169,9 @@ def anneal(
 
     best = elites.best()
     found = Polished(best, Objective(problem, oversampling=64, dtype=np.float64).exact_cost(best), 0.0)
-    found, cut = budget.polished(found, polish(problem, elites.ranked()), told, stopped=stopped)
+    found, stopped = budget.polished(found, polish(problem, elites.ranked()), told, stopped=stopped)
     metrics = problem.measure(found.code)
-    return SearchResult(found.code, found.cost, metrics, budget.elapsed(), budget.done, interrupted or cut)
+    return SearchResult(found.code, found.cost, metrics, budget.elapsed(), budget.done, stopped)
 
 
 def standard_moves(problem: SearchProblem) -> int:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Literal, TypeVar
 
-__all__ = ["CHAINS", "Budget"]
+__all__ = ["CHAINS", "Budget", "Stopped"]
+
+Stopped = Literal["steps", "time", "interrupted", "complete"]
+"""What ended a search: all its moves made, the time limit, Ctrl-C, or that no other code keeps the limits."""
 
 _Piece = TypeVar("_Piece")
 CHAINS = 8  # of a round: enough for most machines' cores, and the outcome must not depend on their number
@@ -51,12 +54,16 @@ class Budget:
             return wanted
         # a chain that the clock cuts off has cooled for nothing
         affordable = self.done / max(self.elapsed(), 1e-3) * (self.time_s - self.elapsed()) / CHAINS
-        return max(256, min(wanted, int(0.95 * affordable)))
+        return max(256, int(min(wanted, 0.95 * affordable)))
+
+    def stopped(self) -> Stopped:
+        """Say what has used it up: the moves, where they and the time ran out together."""
+        return "steps" if self.steps is not None and self.done >= self.steps else "time"
 
     def polished(
-        self, found: _Piece, pieces: Iterable[_Piece], tell: Callable[[_Piece, bool], None], *, stopped: bool
-    ) -> tuple[_Piece, bool]:
-        """Take the pieces of a closing polish until it ends or must: sooner once Ctrl-C has stopped the search.
+        self, found: _Piece, pieces: Iterable[_Piece], tell: Callable[[_Piece, bool], None], *, stopped: Stopped
+    ) -> tuple[_Piece, Stopped]:
+        """Take the pieces of a closing polish until it ends or must: sooner where Ctrl-C has stopped the search.
 
         Parameters
         ----------
@@ -66,21 +73,23 @@ class Budget:
             Each the best so far.
         tell : callable
             Called with each piece and False, and at the end with the last one and True. It may raise KeyboardInterrupt.
-        stopped : bool
+        stopped : {"steps", "time", "interrupted", "complete"}
+            What ended the search before.
 
         Returns
         -------
-        The last piece, and whether Ctrl-C or, of a search of so many moves, the time cut it off.
+        The last piece, and what ended the search with its polish.
         """
-        ends_s = self.elapsed() + _POLISH_S if stopped else self.time_s + max(_POLISH_S, _POLISH_SHARE * self.time_s)
-        cut = False
+        ends_s = self.time_s + max(_POLISH_S, _POLISH_SHARE * self.time_s)
+        if stopped == "interrupted":
+            ends_s = self.elapsed() + _POLISH_S
         try:
             for found in pieces:
                 tell(found, False)
                 if self.elapsed() > ends_s:
-                    cut = self.steps is not None
+                    stopped = "time" if stopped == "steps" else stopped
                     break
             tell(found, True)
         except KeyboardInterrupt:
-            cut = True
-        return found, cut
+            stopped = "interrupted"
+        return found, stopped

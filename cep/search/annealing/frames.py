@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cep.code import ShutterCode
 from cep.search.annealing.anneal import COOLING, MOVES_SHARE, REHEATED, hottest_db
-from cep.search.annealing.budget import CHAINS, Budget
+from cep.search.annealing.budget import CHAINS, Budget, Stopped
 from cep.search.annealing.cooling import cool
 from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables, polish_jointly
 from cep.search.annealing.proposals import Limits
@@ -55,8 +55,8 @@ class FramesResult:
     seconds : float
     steps : int
         Moves tried.
-    interrupted : bool
-        Whether Ctrl-C or the time limit ended it: a time limit makes the outcome depend on the machine.
+    stopped : {"steps", "time", "interrupted", "complete"}
+        What ended it, as of :class:`cep.search.annealing.anneal.SearchResult`.
     """
 
     codes: tuple[ShutterCode, ...]
@@ -65,7 +65,7 @@ class FramesResult:
     noise_gain_db: float
     seconds: float
     steps: int
-    interrupted: bool
+    stopped: Stopped
 
 
 def anneal_frames(
@@ -93,7 +93,8 @@ def anneal_frames(
     steps : int, optional
         Moves to try, over all chains. None searches for ``time_s``, and is not reproducible.
     time_s : float
-        Upper limit of the moves, seconds; of the closing polish, a tenth of it or half a second more.
+        Upper limit of the moves, seconds; of the closing polish, a tenth of it or half a second more; ``math.inf`` for
+        none.
     start : iterable of sequences of ShutterCode
         Codes of all frames to start from, besides random ones; those that break a limit are left out.
     progress : callable, optional
@@ -116,7 +117,8 @@ def anneal_frames(
     seeds = np.array([*given, problem.random_codes(frames, rng=rng)], dtype=np.int8)
     elites.offer(seeds[[bool(problem.satisfied(codes).all()) for codes in seeds]])
     free = problem.free_chips
-    interrupted = stopped = False
+    stopped: Stopped = "complete"
+
     try:
         if free.size:
             joint = _Joint.of(elites.coarse, frames, free)
@@ -125,19 +127,19 @@ def anneal_frames(
                 while budget.left():
                     _round(joint, elites, budget, round_number, rng, pool, progress)
                     round_number += 1
-            interrupted = steps is not None and budget.done < steps
+            stopped = budget.stopped()
     except KeyboardInterrupt:
-        interrupted = stopped = True
+        stopped = "interrupted"
     ranked = elites.ranked(frames)
 
     def told(piece: tuple[NDArray[np.int8], float], over: bool) -> None:
         if progress is not None:
             progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece[1], _as_codes(piece[0]))
 
-    (best, _), cut = budget.polished((ranked[0], 0.0), polish_jointly(problem, ranked), told, stopped=stopped)
+    (best, _), stopped = budget.polished((ranked[0], 0.0), polish_jointly(problem, ranked), told, stopped=stopped)
     codes = _as_codes(best)
     cost = float(joint_cost(Objective(problem, oversampling=64, dtype=np.float64), best[None])[0])
-    return FramesResult(codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.done, interrupted or cut)
+    return FramesResult(codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.done, stopped)
 
 
 @dataclass

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cep.code import ShutterCode
+from cep.search.annealing.budget import Stopped
 from cep.search.problem import SearchProblem
 
 __all__ = ["Front", "FrontPoint", "knees", "non_dominated"]
@@ -58,8 +59,8 @@ class Front:
     seconds : float
     steps : int
         Moves tried by the annealing.
-    interrupted : bool
-        Whether Ctrl-C ended it, or the time limit a search that was asked for so many steps.
+    stopped : {"steps", "time", "interrupted"}
+        What ended it: all moves made, the time limit, which makes the front depend on the machine, or Ctrl-C.
     """
 
     points: tuple[FrontPoint, ...]
@@ -68,7 +69,7 @@ class Front:
     problem: SearchProblem
     seconds: float
     steps: int
-    interrupted: bool
+    stopped: Stopped
 
     @property
     def sampled(self) -> bool:

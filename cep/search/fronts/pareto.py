@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from cep.baselines.published import for_chips
 from cep.code import ShutterCode
 from cep.search.annealing.anneal import COOLING, MOST_SWAPS, REHEATED, hottest_db
+from cep.search.annealing.budget import Stopped
 from cep.search.annealing.chains import Cooling, Crew, Walks
 from cep.search.annealing.tables import lay_out
 from cep.search.annealing.terms import Tables
@@ -73,7 +74,7 @@ def pareto_front(
     steps : int, optional
         Moves of the annealing, over all searches. None goes on for ``time_s``, and is not reproducible.
     time_s : float
-        Upper limit, seconds; the last judgement comes on top.
+        Upper limit, seconds, ``math.inf`` for none; the last judgement comes on top.
     progress : callable, optional
         Called now and then with the fraction done and a word on what is searched. It may raise KeyboardInterrupt.
     threads : int, optional
@@ -93,15 +94,15 @@ def pareto_front(
     if not shares or not all(0 <= share <= 1 for share in shares):
         raise ValueError(f"shares: must be numbers within 0..1, got {tuple(shares)}")
     search = _Search(problem, _problems_by_count(problem, counts), rng, steps, time_s, progress, threads)
-    interrupted = False
+    stopped: Stopped = "steps"
     try:
         search.begin()
         search.rounds((1.0,) if search.judge.sampled_only else tuple(shares))
     except _TimeIsUp:
-        interrupted = steps is not None
+        stopped = "time"
     except KeyboardInterrupt:
-        interrupted = True
-    return search.front(interrupted)
+        stopped = "interrupted"
+    return search.front(stopped)
 
 
 def front_points(problem: SearchProblem, codes: Iterable[ShutterCode]) -> tuple[FrontPoint, ...]:
@@ -164,7 +165,7 @@ class _Search:
         for count in self._promising():
             self._settle(count, None)
 
-    def front(self, interrupted: bool) -> Front:
+    def front(self, stopped: Stopped) -> Front:
         """Judge what was found in every figure."""
         curves = {
             count: tuple(sorted(self.judge.points(list(archive.codes)), key=lambda p: (p.minimum, p.code.bits)))
@@ -180,7 +181,7 @@ class _Search:
             self.problem,
             time.monotonic() - self._began,
             self.moves,
-            interrupted,
+            stopped,
         )
 
     def _unbeaten(self) -> Codes:
