@@ -18,7 +18,16 @@ from scipy import fft, ndimage
 from motdiff.metrics import mnc_matrix
 from motdiff.parallel import side_by_side
 
-__all__ = ["Judge", "Phase", "Ranking", "Spectrum", "believed_kernels", "kernel_score", "noise_sigma", "rank_kernels"]
+__all__ = [
+    "Judge",
+    "Phase",
+    "Ranking",
+    "Spectrum",
+    "candidate_probabilities",
+    "kernel_score",
+    "noise_sigma",
+    "rank_kernels",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -206,8 +215,8 @@ class Judge:
 # One score for all kernels. Its weights choose the kernel with the highest MNC on average, fitted on simulated motions
 # over training photos (120 photos, 8 or 9 starts each); a fit to drawn kernels is no better, docs/decisions/network.md.
 _EVIDENCE_WEIGHTS, _AGREEMENT_WEIGHT = np.array([0.8, 2.0, -1.0]), 0.4
-# Slope and offset turn the winner's score into the share of winners with a sub-pixel MNC of 0.7 or more. Candidates of
-# classical searches alone and candidates that a network has drawn as well differ in that, so each has its own.
+# Slope and offset turn the winner's score into the share of winners with a sub-pixel MNC of 0.7 or more: fitted apart
+# for classical searches alone and for these together with draws, whose agreement is another mean.
 _SEARCHED, _DRAWN = (8.3, -5.15), (12.5, -8.5)
 
 
@@ -220,7 +229,7 @@ def kernel_score(evidence: FloatArray, agreement: FloatArray | float = 0.0) -> F
 
 
 def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
-    """Choose among kernels of one photo that classical searches have found; they agree with the three most alike.
+    """Choose among kernels that classical searches have found; each agrees by its mean MNC with the three most alike.
 
     Parameters
     ----------
@@ -239,10 +248,10 @@ def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
     return Ranking(best, probabilities, float(agreement[best]))
 
 
-def believed_kernels(evidence: FloatArray, alike: FloatArray, *, samples: int, classical: int) -> FloatArray:
+def candidate_probabilities(evidence: FloatArray, alike: FloatArray, *, samples: int, classical: int) -> FloatArray:
     """Probability (K,) of each of K kernels to be good: first the drawn ones, then the classical ones, then others.
 
-    They agree with the drawn kernels and with the classical ones, itself left out, half each.
+    A kernel agrees by its mean MNC with the drawn ones and that with the classical ones, half each, without itself.
 
     Parameters
     ----------

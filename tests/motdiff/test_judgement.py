@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from scipy import special
 
-from motdiff.estimators.judge import Judge, Phase, Spectrum, believed_kernels, kernel_score, noise_sigma, rank_kernels
+from motdiff.estimators.judge import (
+    Judge,
+    Phase,
+    Spectrum,
+    candidate_probabilities,
+    kernel_score,
+    noise_sigma,
+    rank_kernels,
+)
 from motdiff.metrics import mnc_matrix
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
@@ -74,8 +82,8 @@ def test_agreement_by_hand():
     r = np.sqrt(1 / 2)
     samples = [r, r, (r + 1 / 2) / 2, (1 + r) / 2, (r + 1) / 2]  # the first two without themselves
     classical = [(r + 1) / 2, (1 / 2 + r) / 2, r, r, (1 / 2 + r) / 2]
-    believed = believed_kernels(np.zeros((5, 3)), mnc_matrix(kernels), samples=2, classical=2)
-    alone = [believed_kernels(np.zeros((1, 3)), np.eye(1), samples=n, classical=0)[0] for n in (0, 1)]
+    believed = candidate_probabilities(np.zeros((5, 3)), mnc_matrix(kernels), samples=2, classical=2)
+    alone = [candidate_probabilities(np.zeros((1, 3)), np.eye(1), samples=n, classical=0)[0] for n in (0, 1)]
     assert alone[0] == alone[1] < believed.min()
     gained = special.logit(believed) - special.logit(alone[0])
     expected = kernel_score(np.zeros((5, 3)), np.mean([samples, classical], axis=0))
@@ -88,14 +96,14 @@ def test_score_rises_with_the_evidence_and_agreement_and_falls_with_light_on_the
     rows = np.random.default_rng(0).normal(size=(20, 3))
     np.testing.assert_allclose(kernel_score(rows), rows @ [fit, phase, rim])
     assert (kernel_score(rows, 0.5) > kernel_score(rows)).all()
-    assert believed_kernels(np.zeros((0, 3)), np.zeros((0, 0)), samples=0, classical=0).shape == (0,)
+    assert candidate_probabilities(np.zeros((0, 3)), np.zeros((0, 0)), samples=0, classical=0).shape == (0,)
 
 
 def test_the_photo_believes_the_truth_and_not_what_is_lost(crops):
     truth, lost = bent().psf(63), STRAIGHT.psf(63).T
     blob = np.exp(-0.5 * (np.mgrid[-31:32, -31:32] ** 2).sum(axis=0) / 16)
     kernels = [truth, truth[::-1, ::-1], lost, blob / blob.sum()]
-    believed = believed_kernels(Judge(crops).evidence(kernels), mnc_matrix(kernels), samples=4, classical=0)
+    believed = candidate_probabilities(Judge(crops).evidence(kernels), mnc_matrix(kernels), samples=4, classical=0)
     assert believed.argmax() == 0
     assert believed[0] > 0.7
     assert believed[2:].max() < 0.4

@@ -410,7 +410,9 @@ def test_the_mean_of_the_draws_and_the_likeliest_classical_kernel_are_always_ref
     psfs = np.stack([motion.psf(64) for motion in motions])
     monkeypatch.setattr(module, "draw_psfs", lambda *_, **__: psfs)
     believed = np.r_[np.full(4, 0.9), 0.1, 0.3, 0.2, 0.2, 0.0]
-    monkeypatch.setattr(module, "probabilities", lambda rows: np.r_[believed, np.arange(len(rows) - 9) / 10])
+    monkeypatch.setattr(
+        module, "candidate_probabilities", lambda rows, *_, **__: np.r_[believed, np.arange(len(rows) - 9) / 10]
+    )
     refined = []
     monkeypatch.setattr(module, "refined", lambda _crops, kernel, _sigma: refined.append(kernel) or kernel)
     monkeypatch.setattr("motdiff.parallel.os.cpu_count", lambda: 1)  # one after the other
@@ -467,7 +469,7 @@ def test_the_quick_way_asks_no_full_search(monkeypatch, classical, no_search, sh
 
 
 def test_kernels_that_the_photo_does_not_believe_are_said_to_be_lost(monkeypatch, classical, shaken):
-    monkeypatch.setattr(module, "probabilities", lambda rows: np.full(len(rows), 0.3))
+    monkeypatch.setattr(module, "candidate_probabilities", lambda rows, *_, **__: np.full(len(rows), 0.3))
     options = {"samples": 1, "steps": 1, "refine": False}
     estimate = estimator_with(monkeypatch, Oracle(STRAIGHT), **options).estimate(shaken)
     (lost,) = estimate.warnings

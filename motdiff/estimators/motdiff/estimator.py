@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from motdiff.conditions import QUICK_STARTS, quick_kernels
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.blind import Found, estimate_blind
-from motdiff.estimators.judge import Judge, believed_kernels, noise_sigma
+from motdiff.estimators.judge import Judge, candidate_probabilities, noise_sigma
 from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import refined
@@ -114,7 +114,7 @@ class MotDiffEstimator:
         mean = len(kernels) - 1
         groups = {"samples": len(drawn), "classical": len(classical)}
         evidence, alike = judge.evidence(kernels), mnc_matrix(kernels)
-        believed = believed_kernels(evidence, alike, **groups)
+        believed = candidate_probabilities(evidence, alike, **groups)
         best = int(np.argmax(believed))
         if self._refine:
             likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
@@ -122,7 +122,7 @@ class MotDiffEstimator:
             sharpened = side_by_side([partial(refined, crops, kernels[i], judge.sigma) for i in chosen])
             kernels += sharpened
             evidence = np.vstack([evidence, judge.evidence(sharpened)])
-            believed = believed_kernels(evidence, mnc_matrix(kernels), **groups)
+            believed = candidate_probabilities(evidence, mnc_matrix(kernels), **groups)
             best = mean + 1 + int(np.argmax(believed[mean + 1 :]))  # refined ones are better than what they come from
         origin = best if best <= mean else chosen[best - mean - 1]
         details: dict[str, object] = {

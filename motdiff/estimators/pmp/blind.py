@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from motdiff.estimators.pmp.grids import downsampled, fast_size, periodic_extension, resized_kernel
-from motdiff.estimators.pmp.kernel import centred, fit_kernel, without_specks
+from motdiff.estimators.pmp.kernel import centred, fit_kernel, without_faint_light, without_specks
 from motdiff.estimators.pmp.latent import Coupling, l0_pmp_latent, salient_gradients, start_threshold
 
 __all__ = ["PmpSettings", "estimate_kernels", "refine_kernel"]
@@ -21,6 +21,7 @@ _SMOOTHNESS_FLOOR = 4.0
 _SMOOTHNESS_PER_VARIANCE = 1.6e5
 _FINE_SMOOTHNESS = 0.3
 _FINE_SPARSITY = 0.5
+_FINE_KEEP_SHARE = 0.01  # all gradients tell fainter parts from noise than salient edges, with 0.05, can
 _FINE_GRADIENT_FLOOR = 2e-4
 _FINE_GRADIENT_PER_VARIANCE = 2.5
 _COUPLING = Coupling(start=16.0, end=100.0, growth=1.5)
@@ -151,9 +152,7 @@ def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None 
                 rounds=_ROUNDS,
             )
         kernel = centred(kernel)
-    peak = kernel.amax(dim=(1, 2), keepdim=True)
-    kernel = torch.where(kernel < chosen.keep_share * peak, torch.zeros_like(kernel), kernel)
-    kernel = kernel / kernel.sum(dim=(1, 2), keepdim=True)
+    kernel = without_faint_light(kernel, below=chosen.keep_share)
     return centred(refine_kernel(photos, kernel, sigma=chosen.sigma)) if chosen.fine_weights else kernel
 
 
@@ -224,7 +223,7 @@ def _fitted_to_all(
         ridge=2.0,
         smoothness=_FINE_SMOOTHNESS + _SMOOTHNESS_PER_VARIANCE * sigma**2,
         sparsity=_FINE_SPARSITY,
-        keep_share=0.01,
+        keep_share=_FINE_KEEP_SHARE,
         rounds=rounds,
     )
     return without_specks(fitted)

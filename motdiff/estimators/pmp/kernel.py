@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from motdiff.estimators.pmp.grids import fast_size, gradient_power
 
-__all__ = ["centred", "fit_kernel", "without_specks"]
+__all__ = ["centred", "fit_kernel", "without_faint_light", "without_specks"]
 
 _SPECK_MASS = 0.1
 _SPARSITY_CAP = 0.3
@@ -86,8 +86,13 @@ def fit_kernel(
             kernel, momentum = descended, following
         misfit = blurred_energy - (kernel * (2 * right - applied(data, kernel))).sum(dim=(1, 2))
         variance = misfit.clamp(min=0) / (2 * crops * height * width)
+    return without_faint_light(kernel, below=keep_share)
+
+
+def without_faint_light(kernel: Tensor, *, below: float) -> Tensor:
+    """Kernels (B, k, k) with 0 wherever they lie below the share ``below`` of their peak; sum 1."""
     peak = kernel.amax(dim=(1, 2), keepdim=True)
-    return _normalised(torch.where(kernel < keep_share * peak, torch.zeros_like(kernel), kernel))
+    return _normalised(torch.where(kernel < below * peak, torch.zeros_like(kernel), kernel))
 
 
 def without_specks(kernel: Tensor) -> Tensor:
