@@ -18,6 +18,7 @@ from motdiff.gyro import GyroTrace
 from motdiff.gyro_tables import read_gyro
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
 from motdiff.motions import boracchi_foi, random_gyro_motion
+from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, PSF_PX
 from motdiff.tracing import fit_dwell, trace_map, trace_psf_to_trajectory
 from motdiff.trajectory import Trajectory
 
@@ -31,7 +32,7 @@ def draws_the_same(path: np.ndarray, hr_map: np.ndarray) -> bool:
     """Tell whether a path covers every drawn pixel, and nothing else, within 1.5 pixels of the map."""
     steps = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
     fine = np.linspace(0, steps[-1], int(steps[-1] * 8) + 2)
-    on_path = 129.5 + 4 * np.stack([np.interp(fine, steps, path[:, axis]) for axis in (0, 1)], axis=-1)
+    on_path = MAP_CENTRE + MAP_PITCH * np.stack([np.interp(fine, steps, path[:, axis]) for axis in (0, 1)], axis=-1)
     drawn = np.argwhere(hr_map)[:, ::-1]
     reach = 1.5
     missed = spatial.cKDTree(on_path).query(drawn)[0] > reach
@@ -88,14 +89,14 @@ def dwell_table(motions: int, trace: GyroTrace, seed: int) -> None:
         for k in range(motions):
             rng = np.random.default_rng([seed, k, int(1000 * exposure_s)])
             truth = random_gyro_motion(trace, rng, exposure_s=exposure_s, extent_px=24.0)
-            psf, hr_map = truth.psf(64), truth.hr_map()
+            psf, hr_map = truth.psf(), truth.hr_map()
             noisy = np.maximum(psf + rng.normal(0, NOISE * psf.max(), psf.shape), 0)
             path = trace_map(hr_map)
 
             def score(found: Trajectory, psf: np.ndarray = psf) -> float:
                 return mnc_subpixel(found.psf(found.frame_size(FRAME)), psf)
 
-            bare = mnc_subpixel(hr_map.reshape(64, 4, 64, 4).mean(axis=(1, 3)), psf)
+            bare = mnc_subpixel(hr_map.reshape(PSF_PX, MAP_PITCH, PSF_PX, MAP_PITCH).mean(axis=(1, 3)), psf)
             fits = [fit_dwell(path, psf), fit_dwell(path, noisy), *map(trace_psf_to_trajectory, (psf, noisy))]
             rows.append([bare, *map(score, fits), ordered_distance_px(path, truth.xy) <= HR_PX])
         mean, low = np.mean(rows, axis=0), np.percentile(rows, 5, axis=0)
