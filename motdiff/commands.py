@@ -288,7 +288,8 @@ def _eval(given: argparse.Namespace) -> None:
         shown=given.shown,
         told=lambda line: print(line, file=sys.stderr, flush=True),  # noqa: T201
     )
-    document = report_document(outcome, {name: value for name, value in vars(given).items() if name != "command"})
+    options = {name: value for name, value in vars(given).items() if name not in ("command", "check")}
+    document = report_document(outcome, options)
     write_report(outcome, document, given.out)
     print(json.dumps(document) if given.json else report_text(outcome))  # noqa: T201
     if outcome.stopped:
