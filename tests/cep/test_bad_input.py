@@ -2,11 +2,16 @@
 
 import json
 import os
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from fuzz_readers import dng
+from named_pipes import empty_pipe
+from scipy.io import savemat
 
 from cep.images import write_image
 from motdiff.files import StoredMotion, write_motion
@@ -468,3 +473,83 @@ def test_unknown_kinds_of_output(refused, workplace, arguments):
 )  # fmt: skip
 def test_other_wrong_options(refused, arguments):
     refused(*arguments)
+
+
+# -- what is no file to read ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["calibrate", "PIPE.png"],
+        ["calibrate", "PIPE.mat"],
+        ["calibrate", "PIPE.dng"],
+        ["calibrate", "blurred.png", "--method", "reference", "--sharp", "PIPE.png"],
+        ["calibrate", "blurred.png", "--method", "gyro", "--gyro", "PIPE.csv", "--focal", "800", "--start", "0",
+         "--exposure", "1"],
+        ["demo", "--photo", "PIPE.png"],
+        ["deblur", "PIPE.png", "--trajectory", "trajectory.json"],
+        ["deblur", "blurred.png", "--trajectory", "PIPE.json"],
+        ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--code", "PIPE.json"],
+        ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--camera", "PIPE.toml"],
+        ["deblur", "blurred.png", "--psf", "PIPE.npy"],
+        ["deblur", "blurred.png", "--psf", "PIPE.mat"],
+        ["simulate", "PIPE.tif", "--linear", "10"],
+        ["optimize", "--trajectory", "PIPE.json", "--chips", "20", "-o", "new.json"],
+        ["optimize", "--linear", "10", "--chips", "20", "--device", "PIPE.toml", "-o", "new.json"],
+        ["audit", "PIPE.json"],
+        ["mtf", "--trajectory", "PIPE.json"],
+        ["hw", "verify", "1011", "--vcd", "PIPE.vcd"],
+        ["bench", "cep", "--protocol", "PIPE.toml", "-o", "bench"],
+        ["bench", "blind", "--protocol", "PIPE.toml", "-o", "bench"],
+        ["bench", "blind", "--protocol", "ours", "--gyro", "PIPE.txt", "-o", "bench"],
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_a_pipe_is_no_input(refused, workplace, arguments):
+    name = next(part for part in arguments if part.startswith("PIPE"))
+    with empty_pipe(name):
+        line = refused(*arguments)
+    assert name in line
+    assert "regular file" in line
+
+
+def test_a_small_file_of_a_very_large_photo(refused, workplace):
+    """It takes gigabytes once it is decoded."""
+    row = zlib.compress(b"\0" + b"\xff" * 3750)
+    parts = (b"IHDR" + struct.pack(">2I5B", 30_000, 30_000, 1, 0, 0, 0, 0), b"IDAT" + row, b"IEND")
+    chunks = (struct.pack(">I", len(part) - 4) + part + struct.pack(">I", zlib.crc32(part)) for part in parts)
+    Path("white.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
+    for arguments in (
+        ["calibrate", "white.png"],
+        ["simulate", "white.png", "--linear", "9"],
+        ["deblur", "blurred.png", "--psf", "white.png"],
+    ):
+        line = refused(*arguments)
+        assert "white.png: 30000 x 30000 px" in line
+        assert "at most 120" in line
+        assert "crop" in line
+
+
+@pytest.mark.parametrize(
+    ("variable", "arguments"),
+    [
+        ("psf", ["deblur", "blurred.png", "--psf", "bad.mat"]),
+        ("y", ["calibrate", "bad.mat"]),
+        ("x", ["calibrate", "blurred.png", "--method", "reference", "--sharp", "bad.mat"]),
+    ],
+)
+def test_mat_files_that_kill_scipy(refused, workplace, variable, arguments):
+    """The type of the numbers is one that there is none of: version 1.17 is ended by a segmentation fault."""
+    savemat("bad.mat", {variable: np.eye(64)})
+    data = Path("bad.mat").read_bytes()
+    at = data.index(b"\t\0\0\0", 168)  # behind the name: numbers of 8 bytes follow
+    Path("bad.mat").write_bytes(data[:at] + bytes(4) + data[at + 4 :])
+    assert "bad.mat: cannot be read as a .mat file" in refused(*arguments)
+
+
+def test_damaged_raw_files(refused, workplace):
+    pytest.importorskip("rawpy")
+    Path("a.dng").write_bytes(dng(np.full((64, 64), 9000, np.uint16))[:-100])
+    assert "a.dng: not a RAW file that LibRaw can read" in refused("calibrate", "a.dng")
+    assert "a.dng" in refused("simulate", "a.dng", "--linear", "9")
