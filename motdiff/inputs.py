@@ -10,7 +10,7 @@ from typing import Any
 
 __all__ = ["one_line", "read_json", "read_text", "read_toml", "regular_file"]
 
-_LONGEST = 400
+_LONGEST = 300
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),

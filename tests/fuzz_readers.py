@@ -32,7 +32,7 @@ import numpy as np
 ACCEPTED, REFUSED = "accepted", "refused"
 GOOD = (ACCEPTED, REFUSED)
 BAD = ("unclear", "noisy", "exception", "memory", "hang", "crash")
-LONGEST_LINE = 500
+LONGEST_LINE = 400
 LIMIT_S = 20.0
 MOST_GROWTH = 1536 * 2**20
 
@@ -509,7 +509,7 @@ def _outcome(reader: Reader, path: Path) -> tuple[str, str]:
         return "noisy", f"{type(error).__name__}: {error}"[:300]
     except (ValueError, OSError) as error:
         said = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
-        clear = "\n" not in said and len(said) <= LONGEST_LINE and path.name in said and said.isprintable()
+        clear = path.name in said and said.isprintable() and len(said.replace(str(path), "")) <= LONGEST_LINE
         return (REFUSED if clear else "unclear"), f"{type(error).__name__}: {said[:300]!r} ({len(said)} characters)"
     except Exception as error:
         return "exception", f"{type(error).__name__}: {error}"[:300]
