@@ -165,7 +165,7 @@ def parse_profile(text: str, *, source: str = "profile") -> DeviceProfile:
     known = {field.name for field in fields(DeviceProfile)}
     unknown = sorted(set(table) - known)
     if unknown:
-        raise ValueError(f"{source} has unknown field {unknown[0]!r}: known are {', '.join(sorted(known))}")
+        raise ValueError(f"{source} has unknown field {unknown[0][:40]!r}: known are {', '.join(sorted(known))}")
     missing = [field.name for field in fields(DeviceProfile) if field.default is MISSING and field.name not in table]
     if missing:
         raise ValueError(f"{source} has no {missing[0]}: every profile needs one")
