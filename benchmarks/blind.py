@@ -23,14 +23,14 @@ import numpy as np
 from _inputs import FloatArray, smooth_trace
 from _inputs import photos as photos_of
 
-from cep.calibrate import METHODS, make_estimator
-from cep.images import read_image, write_image
-from cep.restore import restore
+from cep.io.images import read_image, write_image
+from cep.restoration import restore
+from cep.workflows.calibrate import METHODS, make_estimator
 from motdiff.crops import CROP_PX
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.evaluation.sets import levin as levin_cases
 from motdiff.gyro import GyroTrace
-from motdiff.gyro_tables import read_gyro
+from motdiff.io.gyro_tables import read_gyro
 from motdiff.metrics import mnc, mnc_subpixel, psnr_up_to_shift
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.psf_frame import PSF_PX

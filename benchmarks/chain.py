@@ -19,10 +19,10 @@ from collections.abc import Callable
 import numpy as np
 from skimage import data
 
-from cep.camera import Camera, capture
-from cep.code import ShutterCode
-from cep.exposure import coded_psf
-from cep.restore import compare_psfs, wiener
+from cep.optics.camera import Camera, capture
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.restoration import compare_psfs, wiener
 from cep.search.annealing.anneal import anneal
 from cep.search.problem import SearchProblem, open_range_of_duty
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift

@@ -14,12 +14,12 @@ import time
 
 import numpy as np
 
-from cep.baselines.published import CLAIMS, for_chips, names, published
-from cep.certify.certificate import certify
-from cep.certify.minimum import chip_minimum
-from cep.code import ShutterCode
-from cep.mtf import chip_noise_db, measure
-from cep.verify.certificates import verify
+from cep.codes.published import CLAIMS, for_chips, names, published
+from cep.optics.code import ShutterCode
+from cep.optics.mtf import chip_noise_db, measure
+from cep.proofs.certify.certificate import certify
+from cep.proofs.certify.minimum import chip_minimum
+from cep.proofs.verify.certificates import verify
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 

@@ -14,10 +14,10 @@ import time
 import numpy as np
 from skimage import data
 
-from cep.camera import Camera, capture
-from cep.code import ShutterCode
-from cep.exposure import coded_psf
-from cep.restore import compare_psfs
+from cep.optics.camera import Camera, capture
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.restoration import compare_psfs
 from motdiff.motions import boracchi_foi, quadratic, random_straight
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory

@@ -20,7 +20,7 @@ from scipy import ndimage
 from motdiff.estimators.gyro import GyroEstimator
 from motdiff.estimators.reference import ReferenceEstimator
 from motdiff.gyro import GyroTrace, trajectory_from_gyro
-from motdiff.gyro_tables import read_gyro
+from motdiff.io.gyro_tables import read_gyro
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.psf_frame import PSF_PX

@@ -21,7 +21,7 @@ import torch
 
 from motdiff.metrics import mnc
 from motdiff.network import MotDiffNetwork
-from motdiff.sampling import psfs_of_maps
+from motdiff.network.sampling import psfs_of_maps
 from motdiff.training.config import TrainingConfig, read_config
 from motdiff.training.data import Batch, PreparedSource
 from motdiff.training.loop import Trainer, loss_of

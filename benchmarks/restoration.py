@@ -15,15 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from cep.baselines.published import published
-from cep.bench.coded.motions import drawn_motions
-from cep.bench.coded.protocol import coded_protocol
-from cep.bench.photos import crop, photo_folder, pick
+from cep.bench.coded.protocol import coded_protocol, drawn_motions
+from cep.bench.datasets import crop, photo_folder, pick
 from cep.bench.statistics import mean_interval
-from cep.camera import capture
-from cep.code import ShutterCode
-from cep.exposure import coded_psf
-from cep.restore import METHODS
+from cep.codes.published import published
+from cep.optics.camera import capture
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.restoration import METHODS
 from motdiff.crops import luminance
 from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift
 from motdiff.psf_frame import PSF_PX

@@ -18,11 +18,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from cep.baselines.published import PUBLISHED
 from cep.bench.codes import code_rows
-from cep.certify.minimum import min_chip
-from cep.code import ShutterCode
-from cep.mtf import chip_noise_db, measure
+from cep.codes.published import PUBLISHED
+from cep.optics.code import ShutterCode
+from cep.optics.mtf import chip_noise_db, measure
+from cep.proofs.certify.minimum import min_chip
 from cep.search.annealing.anneal import anneal
 from cep.search.exhaustive.exact import codes_to_count, exact
 from cep.search.objective import Objective
@@ -91,7 +91,7 @@ def proven(seconds: float, seed: int) -> None:
 def speed(seconds: float, seed: int) -> None:
     del seconds
     from cep.search.annealing.chains import Cooling, Crew
-    from cep.search.annealing.tables import lay_out
+    from cep.search.annealing.terms import lay_out
 
     path = boracchi_foi(np.random.default_rng(seed))
     problem = SearchProblem.along(path, chips=52, objective="noise", direction="forward")

@@ -15,7 +15,7 @@ from _inputs import smooth_trace
 from scipy import spatial
 
 from motdiff.gyro import GyroTrace
-from motdiff.gyro_tables import read_gyro
+from motdiff.io.gyro_tables import read_gyro
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, PSF_PX

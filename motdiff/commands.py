@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from motdiff.outputs import check_file, check_folder
+from motdiff.io.outputs import check_file, check_folder
 
 __all__ = ["run"]
 
@@ -179,7 +179,7 @@ def _add_export(commands: _Commands[argparse.ArgumentParser]) -> None:
 
 
 def _export(given: argparse.Namespace) -> None:
-    from motdiff.inputs import read_json
+    from motdiff.io.inputs import read_json
     from motdiff.weights import export_weights
 
     card = None if given.card is None else read_json(given.card)
@@ -203,13 +203,13 @@ def _add_sample(commands: _Commands[argparse.ArgumentParser]) -> None:
 def _sample(given: argparse.Namespace) -> None:
     import torch
 
-    from motdiff.decoding import decode
-    from motdiff.estimators.judge import noise_sigma
+    from motdiff.estimators.kernel_score import noise_sigma
     from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
     from motdiff.evaluation.pictures import drawn_sheet
+    from motdiff.io.decoding import decode
+    from motdiff.io.outputs import write_bytes
+    from motdiff.io.photo_files import photo_bytes
     from motdiff.network.condition import PHOTO_PX
-    from motdiff.outputs import write_bytes
-    from motdiff.photo_files import photo_bytes
     from motdiff.simulate import to_linear
     from motdiff.weights import DEFAULT_WEIGHTS, load_network
 

@@ -6,6 +6,7 @@ closed-form segment terms, and the PSF on a pixel grid is integrated exactly, so
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -13,11 +14,20 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motdiff import rasterise
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX, PSF_PX
-from motdiff.thinning import thinned_knots
 
-__all__ = ["Direction", "Segments", "Trajectory", "bilinear_otf", "pixel_aperture_otf"]
+__all__ = [
+    "Direction",
+    "Segments",
+    "Trajectory",
+    "bilinear_otf",
+    "pixel_aperture_otf",
+    "slice_of",
+    "slice_psfs",
+    "thin_path",
+    "thinned_knots",
+]
+
 
 Direction = Literal["known", "unknown"]
 FloatArray = NDArray[np.float64]
@@ -217,7 +227,7 @@ class Trajectory:
         cuts = _checked_edges(edges)
         u = np.union1d(self.t[(self.t > cuts[0]) & (self.t < cuts[-1])], cuts)
         points = self.at(u)
-        slice_index = rasterise.slice_of(0.5 * (u[1:] + u[:-1]), cuts)
+        slice_index = slice_of(0.5 * (u[1:] + u[:-1]), cuts)
         return Segments(slice_index, np.diff(u), points[:-1], points[1:])
 
     # -- optics -------------------------------------------------------------------------------------------------
@@ -277,7 +287,7 @@ class Trajectory:
         needed = self.frame_size()
         if size < needed:
             raise ValueError(f"size: the path needs a PSF frame of at least {needed} px, got {size}")
-        return rasterise.slice_psfs(self.t, self.xy, _checked_edges(edges), size)
+        return slice_psfs(self.t, self.xy, _checked_edges(edges), size)
 
     def frame_size(self, least_px: int = 1) -> int:
         """Smallest PSF frame of at least ``least_px`` that holds the whole path, px."""
@@ -299,7 +309,7 @@ class Trajectory:
         if index.min() < 0 or index.max() >= MAP_PX:
             raise ValueError(f"trajectory: leaves the 64-px field of the HR map (extent {self.extent_px:.1f} px)")
         hr = np.zeros((MAP_PX, MAP_PX), np.uint8)
-        pixels = rasterise.thin_path(index)
+        pixels = thin_path(index)
         hr[pixels[:, 1], pixels[:, 0]] = 1
         return hr
 
@@ -324,3 +334,128 @@ def _checked_edges(edges: Sequence[float] | FloatArray) -> FloatArray:
     if cuts.ndim != 1 or cuts.size < 2 or not (np.diff(cuts) > 0).all() or cuts[0] < 0 or cuts[-1] > 1:
         raise ValueError("edges: need at least two times, increasing, within 0..1")
     return cuts
+
+
+_GAUSS_NODE = 1.0 / np.sqrt(3.0)  # two-point Gauss-Legendre: exact for the quadratic weights below
+
+
+def slice_psfs(t: FloatArray, xy: FloatArray, edges: FloatArray, size: int) -> FloatArray:
+    """Integrate the path, seen through the bilinear hat of each pixel, over each time slice.
+
+    Inside one cell of the pixel grid and one straight piece the hat is a quadratic in time, so cutting at every
+    grid line makes two Gauss nodes exact.
+
+    Parameters
+    ----------
+    t : (T,) float, 0..1 increasing
+    xy : (T, 2) float, px; must fit the frame
+    edges : (slices + 1,) float, increasing within 0..1
+    size : int
+        Frame side, px; zero displacement at index ``size // 2``.
+
+    Returns
+    -------
+    (slices, size, size) float; each slice sums to its duration.
+    """
+    crossings = [_grid_crossings(t, xy[:, axis]) for axis in (0, 1)]
+    u = np.union1d(np.concatenate([t, *crossings]), edges)
+    u = u[(u >= edges[0]) & (u <= edges[-1])]
+    du, mid = np.diff(u), 0.5 * (u[1:] + u[:-1])
+
+    def at(times: FloatArray) -> FloatArray:
+        return np.stack([np.interp(times, t, xy[:, axis]) for axis in (0, 1)], axis=-1)
+
+    slice_index = slice_of(mid, edges)
+    cell = np.floor(at(mid)).astype(np.intp)
+    psfs = np.zeros((len(edges) - 1) * size * size)
+    for node in (-_GAUSS_NODE, _GAUSS_NODE):
+        part = at(mid + 0.5 * du * node) - cell
+        for dx in (0, 1):
+            for dy in (0, 1):
+                weight = 0.5 * du * np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
+                column, row = cell[:, 0] + dx + size // 2, cell[:, 1] + dy + size // 2
+                psfs += np.bincount((slice_index * size + row) * size + column, weight, minlength=psfs.size)
+    return psfs.reshape(-1, size, size)
+
+
+def slice_of(t: FloatArray, edges: FloatArray) -> NDArray[np.intp]:
+    """Index of the time slice that each time (N,) belongs to; a time on the last edge belongs to the last slice."""
+    return np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(edges) - 2)
+
+
+def thin_path(index: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Thin a walk of touching pixels to an 8-connected line without corner steps.
+
+    Parameters
+    ----------
+    index : (N, 2) int
+        Pixels along the path; consecutive ones equal or 8-neighbours.
+
+    Returns
+    -------
+    (M, 2) int, M <= N, with the same ends.
+    """
+    moved = np.r_[True, np.any(np.diff(index, axis=0) != 0, axis=1)]
+    walk = index[moved]
+    kept = [walk[0]]
+    for here, after in itertools.pairwise(walk[1:]):
+        if np.abs(after - kept[-1]).max() > 1:  # otherwise its neighbours already touch: a corner
+            kept.append(here)
+    kept.append(walk[-1])
+    return np.array(kept)
+
+
+def _grid_crossings(t: FloatArray, values: FloatArray) -> FloatArray:
+    """Find the times at which a coordinate passes an integer; pixel centres bound the bilinear cells."""
+    low, high = np.minimum(values[:-1], values[1:]), np.maximum(values[:-1], values[1:])
+    first = np.ceil(low)
+    count = np.maximum(np.floor(high) - first + 1, 0).astype(np.intp)
+    count[values[:-1] == values[1:]] = 0
+    segment = np.repeat(np.arange(count.size), count)
+    nth = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    rise = values[segment + 1] - values[segment]
+    fraction = (first[segment] + nth - values[segment]) / rise
+    return np.asarray(t[segment] + fraction * (t[segment + 1] - t[segment]), dtype=np.float64)
+
+
+def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray[np.intp]:
+    """Choose samples between which a path is straight in space and time, to within a tolerance.
+
+    Neighbouring intervals are joined in pairs, these in pairs again, and so on, as long as every sample between the
+    ends lies within the tolerance of the straight, uniform motion between them. That takes O(T log T), or O(T) where
+    nothing can be joined, and gives up to a few times as many samples as the fewest possible.
+
+    Parameters
+    ----------
+    t : (T,) float, increasing
+    xy : (T, 2) float, px
+    tolerance_px : float
+        Largest distance, at equal times, between the path and the one through the chosen samples.
+
+    Returns
+    -------
+    (K,) int, increasing, from 0 to T - 1
+    """
+    kept = np.ones(t.size, dtype=bool)
+    joined: NDArray[np.bool_] = np.ones(t.size - 1, dtype=bool)  # whether each block of intervals is straight
+    width = 1
+    while joined.size > 1:
+        width *= 2
+        blocks = joined.size // 2
+        straight: NDArray[np.bool_] = np.asarray(joined[: 2 * blocks].reshape(blocks, 2).all(axis=1))
+        candidates = np.flatnonzero(straight)
+        if not candidates.size:
+            break
+        first, last = candidates * width, (candidates + 1) * width
+        times = t[: blocks * width].reshape(blocks, width)[candidates]
+        share = (times - t[first, None]) / (t[last] - t[first])[:, None]
+        distance2 = np.zeros(share.shape)
+        for column in xy.T:
+            start = column[first, None]
+            chord = start + share * (column[last, None] - start)
+            distance2 += (column[: blocks * width].reshape(blocks, width)[candidates] - chord) ** 2
+        fits = distance2.max(axis=1) <= tolerance_px**2
+        straight[candidates] = fits
+        kept[first[fits] + width // 2] = False
+        joined = straight
+    return np.flatnonzero(kept)

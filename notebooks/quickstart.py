@@ -23,11 +23,11 @@ import numpy as np
 from IPython.display import Image, display
 
 from cep import plots
-from cep.camera import Camera, capture
-from cep.code import ShutterCode
-from cep.exposure import coded_psf
-from cep.mtf import measure
-from cep.restore import restore
+from cep.optics.camera import Camera, capture
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.optics.mtf import measure
+from cep.restoration import restore
 from cep.search.annealing.anneal import anneal
 from cep.search.problem import SearchProblem
 from motdiff.estimators.reference import ReferenceEstimator
@@ -107,7 +107,7 @@ for name, code in {"open shutter": open_shutter, "coded": found.code}.items():
 # `measure` judges any code along any path; here is the classic code of 2006 on a straight motion of 52 px.
 
 # %%
-from cep.baselines.published import published
+from cep.codes.published import published
 from motdiff.trajectory import Trajectory
 
 classic = measure(Trajectory.straight(52.0), published("raskar-52").code)

@@ -52,7 +52,7 @@ class Reader:
 
 
 def _trajectory(path):
-    from motdiff.files import read_motion
+    from motdiff.io.trajectories import read_motion
 
     return read_motion(path)
 
@@ -67,7 +67,7 @@ def _trajectory_seeds():
 
 
 def _code(path):
-    from cep.files import read_code
+    from cep.io.files import read_code
 
     return read_code(path)
 
@@ -81,7 +81,7 @@ def _code_seeds():
 
 
 def _camera(path):
-    from cep.camera import Camera
+    from cep.optics.camera import Camera
 
     return Camera.from_file(path)
 
@@ -119,7 +119,7 @@ def _training_config(path):
 
 
 def _gyro(path):
-    from motdiff.gyro_tables import read_gyro
+    from motdiff.io.gyro_tables import read_gyro
 
     return read_gyro(path)
 
@@ -159,7 +159,7 @@ def _device(path):
 
 
 def _photo(path):
-    from cep.images import read_photo
+    from cep.io.images import read_photo
 
     return read_photo(path)
 
@@ -237,7 +237,7 @@ def _dng_seeds():
 
 
 def _psf(path):
-    from cep.files import read_psf
+    from cep.io.files import read_psf
 
     return read_psf(path)
 
@@ -285,7 +285,7 @@ def _levin_seeds():
 
 
 def _denoiser(path):
-    from cep.restore.denoiser.weights import load_denoiser
+    from cep.restoration.denoiser.weights import load_denoiser
 
     return load_denoiser(path)
 
@@ -297,7 +297,7 @@ def _network(path):
 
 
 def _learned_code(path):
-    from cep.baselines.dce.weights import load_network
+    from cep.codes.dce.weights import load_network
 
     return load_network(path)
 

@@ -9,14 +9,14 @@ from typing import Literal
 
 import numpy as np
 
-from cep.bench.cells import Figure
 from cep.bench.statistics import Interval, Summary, crossed_interval, mean_interval, summed_up
+from cep.jobs.cells import Figure
 
 __all__ = ["Column", "Entry", "Table", "differences", "tabulate"]
 
 Name = tuple[str, ...]
 Figures = Mapping[Name, Mapping[str, Figure]]
-"""Figures by name of the cell, as of :attr:`cep.bench.engine.Outcome.figures`."""
+"""Figures by name of the cell, as of :attr:`cep.jobs.engine.Outcome.figures`."""
 
 
 @dataclass(frozen=True)

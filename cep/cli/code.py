@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from cep.verify.certificates import Verdict
+    from cep.proofs.verify.certificates import Verdict
 
 __all__ = ["audit", "mtf"]
 
@@ -73,12 +73,12 @@ def audit(
 
     Example: cep audit code.json --trajectory trajectory.json --json
     """
-    from cep.audit import better_neighbours, grid_claims, null_threshold, zeros_by_direction
-    from cep.certify.certificate import certify
-    from cep.design import check_frame, check_resolved, judge
-    from cep.files import json_text
-    from cep.outputs import claim, write_text
-    from cep.verify.certificates import verify
+    from cep.io.files import json_text
+    from cep.io.outputs import claim, write_text
+    from cep.proofs.audit import better_neighbours, grid_claims, null_threshold, zeros_by_direction
+    from cep.proofs.certify.certificate import certify
+    from cep.proofs.verify.certificates import verify
+    from cep.workflows.compare import check_frame, check_resolved, judge
     from motdiff.trajectory import Trajectory
 
     stored = load_code(code, chip_ns=chip_ns)
@@ -177,10 +177,10 @@ def mtf(
 
     Example: cep mtf --trajectory trajectory.json --code code.json --code raskar-52 -o mtf.png
     """
-    from cep.code import ShutterCode
-    from cep.design import check_frame, check_resolved, judge
-    from cep.outputs import claim
+    from cep.io.outputs import claim
+    from cep.optics.code import ShutterCode
     from cep.plots import check_figure_name, mtf_curve, mtf_figure, save
+    from cep.workflows.compare import check_frame, check_resolved, judge
 
     check_figure_name(output)
     motion = load_motion(trajectory, linear).trajectory

@@ -37,7 +37,7 @@ def finish(result: Mapping[str, object], *, as_json: bool, show: Callable[[Conso
     show : function that prints on the console it is given
     """
     if as_json:
-        from cep.files import json_text
+        from cep.io.files import json_text
 
         sys.stdout.write(json_text(result))
         return
@@ -181,7 +181,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], 
 
 
 def _cell(value: object) -> str:
-    from cep.wording import number
+    from cep.io.formatting import number
 
     if value is None:
         return "–"

@@ -72,9 +72,9 @@ def deblur(
 
     Example: cep deblur coded.png --trajectory trajectory.json --code code.json -o sharp.png
     """
-    from cep.code import ShutterCode
-    from cep.images import check_image_name, parse_gamma, read_photo, write_image
-    from cep.outputs import claim
+    from cep.io.images import check_image_name, parse_gamma, read_photo, write_image
+    from cep.io.outputs import claim
+    from cep.optics.code import ShutterCode
 
     parse_gamma(gamma)
     shutter = ShutterCode("1") if code is None else load_code(code).code
@@ -82,13 +82,13 @@ def deblur(
     check_image_name(target)
     claim([target], force=force, inputs=[image])
 
-    from cep.calibrate import check_texture
-    from cep.design import check_resolved
-    from cep.exposure import coded_psf
-    from cep.files import read_psf
-    from cep.restore import METHODS, restore
-    from cep.restore.direction import test_directions
-    from cep.restore.spectral import trimmed_psf
+    from cep.io.files import read_psf
+    from cep.optics.exposure import coded_psf
+    from cep.restoration import METHODS, restore
+    from cep.restoration.direction import detect_direction
+    from cep.restoration.spectral import trimmed_psf
+    from cep.workflows.calibrate import check_texture
+    from cep.workflows.compare import check_resolved
     from motdiff.psf_frame import PSF_PX
 
     if method not in METHODS:
@@ -130,7 +130,7 @@ def deblur(
             kernel = coded_psf(motion, shutter, size=motion.frame_size(PSF_PX))
             direction = motion.direction
             if motion.direction == "unknown" and code is not None:
-                test = test_directions(photo.pixels, motion, shutter)
+                test = detect_direction(photo.pixels, motion, shutter)
                 direction, kernel = test.direction, test.psf
         assert kernel is not None
         restored = restore(photo.pixels, kernel, method=method, **options)

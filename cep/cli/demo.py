@@ -39,9 +39,10 @@ def demo(
     """
     import numpy as np
 
-    from cep.demo import DEMO_FILES, bundled_scene, own_photo, run_chain, write_demo
-    from cep.images import parse_gamma, read_photo
-    from cep.outputs import claim_folder
+    from cep.io.images import parse_gamma, read_photo
+    from cep.io.outputs import claim_folder
+    from cep.workflows.demo import DEMO_FILES, write_demo
+    from cep.workflows.demo_chain import bundled_scene, own_photo, run_chain
 
     parse_gamma(gamma)
     noise = load_camera(camera, photons=photons, read_noise=read_noise)

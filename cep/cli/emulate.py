@@ -48,7 +48,7 @@ def emulate(
 
     Example: cep hw emulate uno --link uno --vcd played.vcd
     """
-    from cep.outputs import claim
+    from cep.io.outputs import claim
     from hw.emulation.build import EmulationError
     from hw.emulation.uno import EmulatedUno
 
@@ -72,7 +72,7 @@ def emulate(
     finally:
         uno.stop()
     if vcd is not None:
-        from cep.outputs import new_file
+        from cep.io.outputs import new_file
 
         with new_file(vcd) as temporary:
             uno.write_vcd(temporary)

@@ -6,17 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cep.cli.console import finish, progress, table
-from cep.cli.searching import Task, ending, warnings_of
+from cep.workflows.search_options import Task, ending, warnings_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cep.code import ShutterCode
-    from cep.optimize import Search
-    from cep.search.annealing.budget import Stopped
+    from cep.optics.code import ShutterCode
+    from cep.search.annealing.anneal import Stopped
     from cep.search.annealing.frames import FramesResult
     from cep.search.annealing.joint import JointFigures
     from cep.search.problem import SearchProblem
+    from cep.workflows.optimize import Search
     from hw.device import DeviceProfile
 
 __all__ = ["optimize_frames"]
@@ -53,10 +53,10 @@ def optimize_frames(
     """
     from dataclasses import replace
 
-    from cep.cli.search_options import on_the_circle
-    from cep.files import StoredCode, write_code
-    from cep.outputs import claim, new_files
+    from cep.io.files import StoredCode, write_code
+    from cep.io.outputs import claim, new_files
     from cep.search.annealing.joint import joint_figures
+    from cep.workflows.search_options import on_the_circle
     from hw.program import Program
 
     files = [output.with_name(f"{output.stem}_{number}{output.suffix}") for number in range(1, frames + 1)]
@@ -129,7 +129,7 @@ def _search(problem: SearchProblem, frames: int, how: Search) -> tuple[ShutterCo
     """Search the best single code, then all frames' from it; and what ended them."""
     import numpy as np
 
-    from cep.baselines.published import for_chips
+    from cep.codes.published import for_chips
     from cep.search.annealing.anneal import anneal
     from cep.search.annealing.frames import anneal_frames
 
@@ -160,7 +160,7 @@ def _search(problem: SearchProblem, frames: int, how: Search) -> tuple[ShutterCo
 
 def _figures(joint: JointFigures, min_chip: float | None) -> dict[str, float | None]:
     """Joint figures as every command's JSON names a code's; a hopeless noise gain is None."""
-    from cep.mtf import HOPELESS_DB
+    from cep.optics.mtf import HOPELESS_DB
 
     noise = joint.noise_gain_db if joint.noise_gain_db <= HOPELESS_DB else None
     return {"min_mtf": joint.minimum, "min_chip": min_chip, "noise_gain_db": noise}

@@ -25,8 +25,8 @@ from cep.cli.programs import (
 
 if TYPE_CHECKING:
     from hw.device import DeviceProfile
-    from hw.drivers.blind import BlindDevice
     from hw.drivers.report import UploadReport
+    from hw.drivers.write_only import BlindDevice
     from hw.program import Program
 
 __all__ = ["export", "upload"]
@@ -59,7 +59,7 @@ def export(
 
     Example: cep export code.json --format c -o shutter_code.h
     """
-    from cep.outputs import claim, write_text
+    from cep.io.outputs import claim, write_text
     from hw.device import DeviceProfile
     from hw.drivers.report import Trust
     from hw.export import EXPORTERS
@@ -116,8 +116,8 @@ def upload(
 
     Example: cep upload code.json --port /dev/ttyACM0 --arm
     """
-    from cep.files import json_text
-    from cep.outputs import claim, write_text
+    from cep.io.files import json_text
+    from cep.io.outputs import claim, write_text
 
     if driver not in _UPLOADS:
         raise ValueError(f"--driver: must be one of {', '.join(_UPLOADS)}, got {driver[:40]!r}")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cep.cli.bench_options import Cache, Dask, Workers
 from cep.cli.code_options import (
     SEARCH,
     Alternatives,
@@ -37,9 +37,18 @@ from cep.cli.code_options import (
 )  # fmt: skip
 from cep.cli.commands import in_options
 from cep.cli.console import finish, progress, table
-from cep.cli.folders import only_of_folders
 from cep.cli.frames import optimize_frames
-from cep.cli.optimize_folder import optimize_folder
+from cep.cli.jobs import (
+    NOT_REACHED,
+    Cache,
+    Dask,
+    Workers,
+    discard,
+    finish_folder,
+    only_of_folders,
+    run_folder,
+    summary_csv,
+)
 from cep.cli.options import (
     CameraFile,
     Force,
@@ -53,15 +62,18 @@ from cep.cli.options import (
     load_motion,
     output_option,
 )
-from cep.cli.search_options import Wish
-from cep.cli.searching import Task, ending, search_of, task_of, unplayable, warnings_of
+from cep.workflows.search_options import SearchOptions, Task, ending, search_of, task_of, unplayable, warnings_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from motdiff.files import StoredMotion
+    from cep.jobs.engine import Outcome
+    from cep.workflows.optimize import Search
+    from hw.device import DeviceProfile
+    from motdiff.io.trajectories import StoredMotion
 
-__all__ = ["optimize"]
+__all__ = ["optimize", "optimize_folder"]
+
 
 _STANDARD_CHIPS = 52
 
@@ -156,14 +168,14 @@ def optimize(
     """
     from dataclasses import replace
 
-    from cep.files import StoredCode, write_code
-    from cep.optimize import appraise, report, search
-    from cep.outputs import claim
+    from cep.io.files import StoredCode, write_code
+    from cep.io.outputs import claim
     from cep.search.exhaustive.exact import codes_to_count
+    from cep.workflows.optimize import appraise, report, search
     from hw.device import load_profile
 
     how = search_of(method, effort, steps=steps, time_s=time_s, seed=seed)
-    wish = Wish(
+    wish = SearchOptions(
         chips=chips, chip_ns=chip_ns, open_chips=open_chips, duty=duty, objective=objective, direction=direction,
         min_open=min_open, max_open=max_open, min_closed=min_closed, min_period=min_period, max_pulses=max_pulses,
         first_open=first_open, last_open=last_open, fixed=fixed, alternatives=alternatives, speed=speed, drift=drift,
@@ -221,7 +233,7 @@ def optimize(
     straight = wanted.along is None
 
     def show(console: Console) -> None:
-        from cep.wording import number
+        from cep.io.formatting import number
 
         console.print(f"{file}: {code.bits}")
         light = f"{code.open_chips} of {chips} chips open, {code.pulses} openings"
@@ -247,3 +259,160 @@ def optimize(
             console.print(f"{worth.figure}: no code with so many open chips can do better than {number(worth.bound)}")
 
     finish(result, as_json=as_json, show=show)
+
+
+_SUMMARY, _CODE = "codes.csv", "code.json"
+_COLUMNS = {
+    "motion": "motion",
+    "open": "open",
+    "min_mtf": "min MTF",
+    "min_chip": "min |P|",
+    "noise_gain_db": "noise, dB",
+    "mse_db": "MSE, dB",
+    "seconds": "s",
+}
+_RESOLVED_PX = 1e4  # a path that tells any chips apart
+_MORE = ("chips", "duty", "bound", "gap", "steps", "stopped", "proven", "bits", "warnings", "failure")
+
+
+def optimize_folder(
+    folder: Path,
+    task: Callable[[StoredMotion, Path], Task],
+    how: Search,
+    *,
+    profile: DeviceProfile | None,
+    chip_ns: int,
+    workers: int | None,
+    dask: str | None,
+    cache: Path | None,
+    output: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Search, write and print a code for each motion; one that fails is told of, the others are kept.
+
+    Parameters
+    ----------
+    folder : Path
+        As ``cep calibrate FOLDER`` writes it.
+    task : callable
+        Makes the search along a motion from a file.
+    how : Search
+    profile : DeviceProfile, optional
+        That must be able to play every code.
+    chip_ns, workers, dask, cache, output, force, as_json
+        As the command's options.
+
+    Raises
+    ------
+    ValueError
+        If there are no motions, an output is in the way, or the options suit none of them.
+    """
+    from cep.io.outputs import claim_folder, write_text
+    from cep.jobs.cells import Cell
+    from cep.jobs.fingerprint import source_version
+    from cep.workflows.calibrate_folder import motions_in
+    from cep.workflows.optimize import optimize_motion
+
+    motions = motions_in(folder)
+    tasks, failures = _tasks(folder, motions, task)  # first: it tells what is wrong with the options
+    target = output or folder
+    claim_folder(target, [_SUMMARY], force=force)
+    for name in motions:
+        claim_folder(target / name, [_CODE], force=force)
+    version = source_version(["cep.workflows.optimize"])
+    cells = [
+        Cell(
+            (name,),
+            optimize_motion,
+            {
+                "problem": one.problem, "searched": one.searched, "along": one.along, "chip_ns": chip_ns, "how": how,
+            },
+            version,
+        )
+        for name, one in tasks.items()
+    ]  # fmt: skip
+    outcome = run_folder(
+        cells, task="searching", noun="codes", cache=cache or target / "cells", workers=workers, dask=dask
+    )
+    failures |= {name: reason for (name,), reason in outcome.failures.items()}
+    codes = _written(outcome, tasks, how, target=target, profile=profile, failures=failures)
+    if force:
+        for name in failures:
+            discard(target / name, [_CODE])
+    rows = [
+        {"motion": name, **codes.get(name, {}), "failure": failures.get(name, "" if name in codes else NOT_REACHED)}
+        for name in motions
+    ]
+    spelt = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
+    target.mkdir(parents=True, exist_ok=True)  # nothing is in it where every motion failed
+    write_text(target / _SUMMARY, summary_csv((*_COLUMNS, *_MORE), spelt))
+    finish_folder(
+        {"folder": target, "summary": target / _SUMMARY, "codes": codes, "seed": how.seed},
+        _COLUMNS,
+        rows,
+        title="a code for each motion (worse direction where unknown)",
+        noun="motions",
+        missing=outcome.missing,
+        warnings=[*outcome.warnings, *(f"{name}: {line}" for name, one in codes.items() for line in one["warnings"])],
+        as_json=as_json,
+    )
+
+
+def _tasks(
+    folder: Path, motions: dict[str, Path], task: Callable[[StoredMotion, Path], Task]
+) -> tuple[dict[str, Task], dict[str, str]]:
+    """Make every search, or tell why not; what suits no motion whatever is wrong with the options, and raised."""
+    from motdiff.io.trajectories import StoredMotion, read_motion
+    from motdiff.trajectory import Trajectory
+
+    stored: dict[str, StoredMotion] = {}
+    failures: dict[str, str] = {}
+    for name, path in motions.items():
+        try:
+            stored[name] = read_motion(path)
+        except (ValueError, OSError) as error:
+            reason = error.strerror if isinstance(error, OSError) else None
+            failures[name] = reason or str(error).removeprefix(f"{path}: ")
+    tasks: dict[str, Task] = {}
+    for name, motion in stored.items():
+        try:
+            tasks[name] = task(motion, motions[name])
+        except ValueError as error:
+            failures[name] = str(error)
+    if stored and not tasks:
+        try:
+            task(StoredMotion(Trajectory.straight(_RESOLVED_PX)), folder)
+        except ValueError as error:
+            if all(failures[name] == str(error) for name in stored):
+                raise
+    return tasks, failures
+
+
+def _written(
+    outcome: Outcome,
+    tasks: dict[str, Task],
+    how: Search,
+    *,
+    target: Path,
+    profile: DeviceProfile | None,
+    failures: dict[str, str],
+) -> dict[str, dict[str, Any]]:
+    """Write the codes that were found; those that the device cannot play are added to the failures."""
+    from cep.io.files import write_code
+    from cep.workflows.optimize import code_from_figures
+
+    codes: dict[str, dict[str, Any]] = {}
+    for (name,), figures in outcome.figures.items():
+        if not figures:
+            continue
+        told, stored = code_from_figures(figures, tasks[name].described)
+        if reason := unplayable(stored.code.bits, profile, stored.code.chip_ns):
+            failures[name] = reason
+            continue
+        file = target / name / _CODE
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_code(file, stored)
+        warnings = warnings_of(tasks[name], how, stopped=told["stopped"], baselines=told["baselines"])
+        codes[name] = {"file": file, **told, "warnings": warnings}
+    return codes

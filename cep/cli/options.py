@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from cep.camera import Camera
-    from cep.code import ShutterCode
-    from cep.files import StoredCode
-    from motdiff.files import StoredMotion
+    from cep.io.files import StoredCode
+    from cep.optics.camera import Camera
+    from cep.optics.code import ShutterCode
+    from motdiff.io.trajectories import StoredMotion
 
 __all__ = [
     "CAMERA", "COMMON", "MOTION", "CameraFile", "ChipNs", "CodeSource", "Force", "Gamma", "Json", "Linear", "Photons",
@@ -76,7 +76,7 @@ def output_option(help: str, *, metavar: str = "FILE") -> Any:
 
 def load_motion(trajectory: Path | None, linear: float | None) -> StoredMotion:
     """Return the motion that ``--trajectory`` or ``--linear`` names, exactly one of them."""
-    from motdiff.files import StoredMotion, read_motion
+    from motdiff.io.trajectories import StoredMotion, read_motion
     from motdiff.trajectory import Trajectory
 
     if (trajectory is None) == (linear is None):
@@ -93,9 +93,9 @@ def load_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
     """Return the code that bits, a file, or the name of a published code stand for."""
     from dataclasses import replace
 
-    from cep.baselines.published import published
-    from cep.code import ShutterCode
-    from cep.files import StoredCode, read_code
+    from cep.codes.published import published
+    from cep.io.files import StoredCode, read_code
+    from cep.optics.code import ShutterCode
 
     file = code_file(source)
     if file is not None:
@@ -134,7 +134,7 @@ def load_camera(path: Path | None, *, photons: float | None, read_noise: float |
     """Return the camera of ``--camera``, changed by ``--photons`` and ``--read-noise``; the standard one without."""
     from dataclasses import replace
 
-    from cep.camera import Camera
+    from cep.optics.camera import Camera
 
     camera = Camera() if path is None else Camera.from_file(path)
     if photons is not None:

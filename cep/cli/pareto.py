@@ -35,7 +35,7 @@ from cep.cli.options import (
     load_motion,
     output_option,
 )
-from cep.cli.searching import ending
+from cep.workflows.search_options import ending
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -116,16 +116,16 @@ def pareto(
 
     import numpy as np
 
-    from cep.baselines.published import for_chips
-    from cep.cli.search_options import DIRECTIONS, open_limits
-    from cep.files import FRONT_SCHEMA, json_text
-    from cep.optimize import STANDARD_TIME_S
-    from cep.outputs import claim, new_files, write_text
+    from cep.codes.published import for_chips
+    from cep.io.files import FRONT_SCHEMA, json_text
+    from cep.io.outputs import claim, new_files, write_text
     from cep.plots.canvas import save
     from cep.plots.pareto import pareto_figure
     from cep.search.fronts.front import knees
     from cep.search.fronts.pareto import front_points, pareto_front
     from cep.search.problem import SearchProblem
+    from cep.workflows.optimize import STANDARD_TIME_S
+    from cep.workflows.search_options import DIRECTIONS, open_limits
 
     if direction not in DIRECTIONS:
         raise ValueError(f"--direction: must be one of {', '.join(DIRECTIONS)}, got {direction!r}")
@@ -204,7 +204,7 @@ def pareto(
 
 
 def _show(console: Console, front: Front, published: dict[str, FrontPoint], output: Path, picture: Path) -> None:
-    from cep.mtf import HOPELESS_DB
+    from cep.optics.mtf import HOPELESS_DB
     from cep.search.fronts.front import knees
 
     ended = f"{front.seconds:.1f} s, {ending(front.stopped, front.steps)}"
@@ -231,7 +231,7 @@ def _figures(point: FrontPoint) -> dict[str, Any]:
     """Return a point as JSON has it; the noise of a code with a zero is null."""
     import math
 
-    from cep.mtf import HOPELESS_DB
+    from cep.optics.mtf import HOPELESS_DB
 
     code = point.code
     noise_db = point.noise_db if point.noise_db <= HOPELESS_DB else math.inf
@@ -247,8 +247,8 @@ def _figures(point: FrontPoint) -> dict[str, Any]:
 
 
 def _scenarios(trajectory: Path | None, linear: float | None, chips: int) -> tuple[Any, ...]:
-    from cep.design import check_frame, check_resolved
     from cep.search.problem import Scenario
+    from cep.workflows.compare import check_frame, check_resolved
 
     if trajectory is None and linear is None:
         return ()

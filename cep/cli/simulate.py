@@ -56,13 +56,13 @@ def simulate(
     """
     import numpy as np
 
-    from cep.camera import capture
-    from cep.code import ShutterCode
-    from cep.design import check_resolved
-    from cep.exposure import coded_psf
-    from cep.files import PSF_SUFFIXES, write_psf
-    from cep.images import check_image_name, parse_gamma, read_photo, write_image
-    from cep.outputs import claim, new_folder
+    from cep.io.files import PSF_SUFFIXES, write_psf
+    from cep.io.images import check_image_name, parse_gamma, read_photo, write_image
+    from cep.io.outputs import claim, new_folder
+    from cep.optics.camera import capture
+    from cep.optics.code import ShutterCode
+    from cep.optics.exposure import coded_psf
+    from cep.workflows.compare import check_resolved
     from motdiff.psf_frame import PSF_PX
 
     parse_gamma(gamma)

@@ -64,7 +64,7 @@ def verify(
         _held(program, port, clock_ppm=clock_ppm, as_json=as_json)
         return
     assert capture is not None
-    from cep.outputs import claim, new_folder
+    from cep.io.outputs import claim, new_folder
     from hw.recordings.capture import read_capture
     from hw.recordings.playback import align
 
@@ -116,7 +116,7 @@ def _psf_stem(output: Path) -> str:
 
 
 def _outputs(output: Path | None, *, with_psf: bool) -> list[Path]:
-    from cep.files import PSF_SUFFIXES
+    from cep.io.files import PSF_SUFFIXES
 
     if output is None:
         return []
@@ -125,8 +125,8 @@ def _outputs(output: Path | None, *, with_psf: bool) -> list[Path]:
 
 
 def _write(output: Path, play: Verification, program: Program, motion: Any) -> None:
-    from cep.achieved import achieved_code, achieved_psf
-    from cep.files import StoredCode, write_code, write_psf
+    from cep.io.files import StoredCode, write_code, write_psf
+    from cep.optics.as_played import achieved_code, achieved_psf
     from motdiff.psf_frame import PSF_PX
 
     code = achieved_code(play, chip_ns=program.chip_ns)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cep.outputs import new_file
+from cep.io.outputs import new_file
 from motdiff.simulate import to_display
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.code import ShutterCode
-from cep.exposure import coded_otf
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_otf
 from cep.plots.canvas import COLOURS, LINES, new_figure
 from motdiff.trajectory import Trajectory
 

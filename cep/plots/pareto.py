@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.mtf import HOPELESS_DB
+from cep.optics.mtf import HOPELESS_DB
 from cep.plots.canvas import COLOURS, new_figure
 from cep.search.fronts.front import Front, FrontPoint, knees
 

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.band import BandSamples, band_samples, circle_samples
-from cep.certify.minimum import min_chip, mtf_minimum
-from cep.code import ShutterCode
-from cep.mtf import inverse_scene, noise_variance
+from cep.optics.band import BandSamples, band_samples, circle_samples
+from cep.optics.code import ShutterCode
+from cep.optics.mtf import inverse_scene, noise_variance
+from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario, scenario_rows
 

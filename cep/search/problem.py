@@ -8,15 +8,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.band import uniform_length_px
-from cep.camera import Camera
-from cep.code import ShutterCode
-from cep.mtf import CodeMetrics, measure, worst_of
-from cep.playing import check_lengths, checked_edges
-from cep.response import ShutterResponse
-from cep.search.drawing import draw
-from cep.search.feasibility import check_feasible
-from cep.search.limits import Limits, checked_mask
+from cep.optics.band import uniform_length_px
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.optics.mtf import CodeMetrics, measure, worst_of
+from cep.optics.response import ShutterResponse
+from cep.optics.timeline import check_lengths, checked_edges
+from cep.search.limits import Limits, check_feasible, checked_mask
+from cep.search.sampling import draw
 from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
@@ -37,7 +36,7 @@ class SearchProblem:
         Number of chips n.
     scenarios : tuple of Scenario
         Motions to design for. None at all means the unit circle of the code's polynomial: the objective is then
-        :func:`cep.certify.minimum.min_chip` and its like, whatever the speed of a straight motion.
+        :func:`cep.proofs.certify.minimum.min_chip` and its like, whatever the speed of a straight motion.
     open_range : (int, int), optional
         Fewest and most open chips; any number when omitted.
     objective : {"min-mtf", "flatness", "noise", "mse"} or tuple of (name, weight)

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cep.exposure import chip_rows
-from cep.playing import checked_edges
-from cep.response import ShutterResponse
-from motdiff.files import StoredMotion
+from cep.optics.exposure import chip_rows
+from cep.optics.response import ShutterResponse
+from cep.optics.timeline import checked_edges
+from motdiff.io.trajectories import StoredMotion
 from motdiff.trajectory import Trajectory
 
 __all__ = [
@@ -105,7 +105,8 @@ def drifted(base: Base, chips: int, amounts: float | Sequence[float]) -> tuple[S
     """Play the code ``1 + amount`` times as slowly as meant, for each amount: its chips cover another part of the path.
 
     Code and exposure begin together. A slow code (amount above 0) outlasts the exposure, see
-    :func:`cep.playing.extended`; a fast one leaves its end unused. Give 0 as well to keep the code played on time.
+    :func:`cep.optics.timeline.extended`; a fast one leaves its end unused. Give 0 as well to keep the code played on
+    time.
 
     Raises
     ------
@@ -154,7 +155,7 @@ def scenario_rows(
     response: ShutterResponse | None = None,
     reversed_path: bool = False,
 ) -> NDArray[np.complex128]:
-    """Rows (n, 2, 2, ...) of :func:`cep.exposure.chip_rows` along a scenario, or along its path run backwards.
+    """Rows (n, 2, 2, ...) of :func:`cep.optics.exposure.chip_rows` along a scenario, or along its path run backwards.
 
     The code is played in its own order either way. Only for chips of equal length and an instant shutter are the rows
     of the reversed path those of the path in the opposite order.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Self
 
 from hw.device import DeviceProfile
-from hw.drivers.blind import BlindDevice
 from hw.drivers.pulsepal_link import Parameter, PulsePalLink, dac_code, open_pulsepal
+from hw.drivers.write_only import BlindDevice
 from hw.export.pulsepal import MAX_PULSES, pulse_train
 from hw.program import Program
 

@@ -7,8 +7,8 @@ import struct
 from typing import Self
 
 from hw.device import DeviceProfile
-from hw.drivers.blind import BlindDevice
 from hw.drivers.scpi_link import ScpiLink, open_scpi
+from hw.drivers.write_only import BlindDevice
 from hw.errors import DeviceError, WrongStateError
 from hw.export.scpi import WAVEFORM, commands, sample_rate, samples
 from hw.port import LinkError, PortError

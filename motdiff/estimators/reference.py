@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft, ndimage
 
-from motdiff import crops, psf_fit
+from motdiff import crops
+from motdiff.estimators import psf_fit
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.registration import coarse_shift, high_passed
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX, centroid_px, without_faint_light
-from motdiff.registration import coarse_shift, high_passed
 from motdiff.tracing import trace_psf_to_trajectory
 
 __all__ = ["ReferenceEstimator"]

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from motdiff.evaluation.sets import Case
-from motdiff.gyro_tables import read_gyro
+from motdiff.io.gyro_tables import read_gyro
 from motdiff.psf_frame import PSF_PX, centred, in_frame
-from motdiff.quadratic import most_alike_quadratic
+from motdiff.tracing.quadratic import most_alike_quadratic
 from motdiff.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def path_kernel(trajectory: Trajectory) -> FloatArray:
     """
     import torch
 
-    from motdiff.sampling import psfs_of_maps
+    from motdiff.network.sampling import psfs_of_maps
 
     return np.asarray(psfs_of_maps(torch.from_numpy(trajectory.hr_map().astype(np.float64))), dtype=np.float64)
 

@@ -164,7 +164,7 @@ def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:
     """
     import torch
 
-    from motdiff.estimators.judge import noise_sigma
+    from motdiff.estimators.kernel_score import noise_sigma
     from motdiff.estimators.pmp.grids import fast_size, periodic_extension
     from motdiff.estimators.pmp.latent import Coupling, l0_pmp_latent
 

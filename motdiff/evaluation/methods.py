@@ -34,7 +34,7 @@ class NetworkAlone:
     weights : path, optional
         The shipped ones when omitted.
     sampler : str
-        See :func:`motdiff.diffusion.samples`.
+        See :func:`motdiff.network.diffusion.samples`.
     steps : int
     seed : int
     """
@@ -42,7 +42,7 @@ class NetworkAlone:
     def __init__(self, weights: Path | None = None, *, sampler: str = "ddim", steps: int = 1, seed: int = 0) -> None:
         import torch
 
-        from motdiff.diffusion import cosine_schedule, samples
+        from motdiff.network.diffusion import cosine_schedule, samples
         from motdiff.weights import load_network
 
         # refuses an unknown sampler or number of steps now, not at every photo
@@ -57,7 +57,7 @@ class NetworkAlone:
         import torch
 
         from motdiff.crops import luminance
-        from motdiff.estimators.judge import noise_sigma
+        from motdiff.estimators.kernel_score import noise_sigma
         from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
         from motdiff.tracing import simplest_trajectory
 
@@ -123,11 +123,11 @@ def _fixed(method: str) -> Estimator:
     if name == "selfdeblur":
         return _selfdeblur(told)
     if name == "blinddps":
-        from motdiff.estimators.blinddps import BlindDpsEstimator
+        from motdiff.baselines.blinddps import BlindDpsEstimator
 
         return BlindDpsEstimator(told or None)
     if method == "parametric":
-        from motdiff.estimators.parametric import ParametricEstimator
+        from motdiff.baselines.parametric import ParametricEstimator
 
         return ParametricEstimator()
     if name == "psf-diffusion":
@@ -138,7 +138,7 @@ def _fixed(method: str) -> Estimator:
 
 
 def _psf_diffusion(steps: str) -> Estimator:
-    from motdiff.estimators.psf_diffusion import PsfDiffusionEstimator
+    from motdiff.baselines.psf_diffusion import PsfDiffusionEstimator
 
     if steps and not steps.isdigit():
         raise ValueError(f"method: must be psf-diffusion or psf-diffusion:STEPS, got {'psf-diffusion:' + steps!r}")
@@ -146,7 +146,7 @@ def _psf_diffusion(steps: str) -> Estimator:
 
 
 def _selfdeblur(iterations: str) -> Estimator:
-    from motdiff.estimators.selfdeblur import SelfDeblurConfig, SelfDeblurEstimator
+    from motdiff.baselines.selfdeblur import SelfDeblurConfig, SelfDeblurEstimator
 
     if iterations and not iterations.isdigit():
         raise ValueError(f"method: must be selfdeblur or selfdeblur:ITERATIONS, got {'selfdeblur:' + iterations!r}")

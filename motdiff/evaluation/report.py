@@ -11,7 +11,7 @@ from pathlib import Path
 from motdiff.evaluation.pictures import contact_sheet, reliability_plot
 from motdiff.evaluation.run import Outcome
 from motdiff.evaluation.tables import calibration, calibration_text, summaries_csv, summary_text, summed_up
-from motdiff.outputs import new_files, write_bytes
+from motdiff.io.outputs import new_files, write_bytes
 
 __all__ = ["report_document", "report_text", "write_report"]
 

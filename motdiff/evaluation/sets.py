@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motdiff.crops import CROP_PX
-from motdiff.gyro_tables import read_gyro
-from motdiff.mat_files import levin_psf, read_mat
+from motdiff.io.gyro_tables import read_gyro
+from motdiff.io.mat_files import levin_psf, read_mat
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import border_px, photograph, visible
 from motdiff.trajectory import Trajectory
@@ -193,7 +193,7 @@ def simulated(
 def levin(folder: Path | str) -> Iterator[Case]:
     """Read Levin's real camera shakes, one ``.mat`` file (``x`` sharp, ``y`` blurred, ``f`` kernel) each.
 
-    The true PSF is ``f`` turned by 180 degrees, see :func:`motdiff.mat_files.levin_psf`.
+    The true PSF is ``f`` turned by 180 degrees, see :func:`motdiff.io.mat_files.levin_psf`.
 
     Parameters
     ----------

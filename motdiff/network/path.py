@@ -43,7 +43,7 @@ class PathHead(nn.Module):
         self.output.bias = nn.Parameter(torch.tensor([0.5, 0.0, 0.0, 0.0]))  # no gradient leads away from a = 0
 
     def forward(self, condition: Tensor) -> Tensor:
-        """Coefficients (B, 2, 2): ``a`` and ``b`` of :class:`motdiff.quadratic.QuadraticPath`, x before y, px."""
+        """Coefficients (B, 2, 2): ``a`` and ``b`` of :class:`QuadraticPath`, x before y, px."""
         hidden = nn.functional.silu(self.hidden(self.narrow(condition).flatten(1)))
         real, imaginary, *bend = (_SCALE_PX * self.output(hidden)).unbind(dim=1)
         length = torch.sqrt(real.square() + imaginary.square() + 1e-6)

@@ -7,9 +7,8 @@ it; :func:`simplest_trajectory` prefers a plain arc. Direction stays unknown: a 
 """
 
 from motdiff.tracing.dwell import fit_dwell, fit_dwell_to_photo
-from motdiff.tracing.order import is_tangled
-from motdiff.tracing.path import trace_map, trace_psf, trace_psf_to_trajectory
-from motdiff.tracing.simple import simplest_trajectory
+from motdiff.tracing.path import is_tangled, trace_map, trace_psf, trace_psf_to_trajectory
+from motdiff.tracing.quadratic import simplest_trajectory
 
 __all__ = [
     "fit_dwell",

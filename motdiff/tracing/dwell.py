@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft, linalg, optimize
 
-from motdiff import rasterise
 from motdiff.metrics import register_shift
 from motdiff.psf_frame import PSF_PX, in_frame
-from motdiff.trajectory import Trajectory
+from motdiff.trajectory import Trajectory, slice_psfs
 
 __all__ = ["checked_psf", "fit_dwell", "fit_dwell_to_photo"]
 
@@ -126,7 +125,7 @@ def _piece_psfs(nodes: FloatArray, cross: FloatArray) -> tuple[FloatArray, Float
     target = np.pad(cross, beyond) if beyond >= 0 else cross[-beyond:beyond, -beyond:beyond]
     size = 2 * half + 1
     edges = np.linspace(0, 1, len(nodes))
-    return rasterise.slice_psfs(edges, nodes, edges, size) * (len(nodes) - 1), target
+    return slice_psfs(edges, nodes, edges, size) * (len(nodes) - 1), target
 
 
 def _non_negative_fit(pieces: FloatArray, auto: FloatArray, target: FloatArray, smoothness: float) -> FloatArray:

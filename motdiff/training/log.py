@@ -8,7 +8,7 @@ import math
 import sys
 from pathlib import Path
 
-from motdiff.outputs import write_bytes
+from motdiff.io.outputs import write_bytes
 from motdiff.training.loop import Losses
 
 __all__ = ["RunLog", "read_log"]

@@ -13,9 +13,15 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from motdiff.diffusion import Schedule, cosine_schedule, q_sample, stochastic_trajectory_pixel_dropout, to_signal
-from motdiff.losses import denoising_loss, dwell_loss, structure_loss
 from motdiff.network import build_network
+from motdiff.network.diffusion import (
+    Schedule,
+    cosine_schedule,
+    q_sample,
+    stochastic_trajectory_pixel_dropout,
+    to_signal,
+)
+from motdiff.network.losses import denoising_loss, dwell_loss, structure_loss
 from motdiff.psf_frame import PSF_PX
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from motdiff.training.config import LossConfig, OptimiserConfig, TrainingConfig

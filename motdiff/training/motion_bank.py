@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from motdiff.gyro import GyroTrace
-from motdiff.gyro_tables import read_gyro
+from motdiff.io.gyro_tables import read_gyro
 from motdiff.motions import boracchi_foi, quadratic, random_gyro_motion, random_straight
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX, PSF_PX
 from motdiff.trajectory import Trajectory

@@ -13,8 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from motdiff.inputs import regular_file
-from motdiff.outputs import write_bytes
+from motdiff.io.inputs import regular_file
+from motdiff.io.outputs import write_bytes
 
 __all__ = ["PICTURES", "crops", "load_photos", "pack_photos", "split_photos"]
 

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motdiff.inputs import regular_file
+from motdiff.io.inputs import regular_file
+from motdiff.io.outputs import new_file
 from motdiff.network.condition import PHOTO_PX
-from motdiff.outputs import new_file
 from motdiff.psf_frame import MAP_PX
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.training.samples import Samples, simulate

@@ -14,10 +14,10 @@ from types import FrameType
 import numpy as np
 import torch
 
-from motdiff.conditions import QUICK_STARTS
 from motdiff.metrics import mnc
 from motdiff.network.condition import PHOTO_PX
-from motdiff.sampling import psfs_of_maps
+from motdiff.network.physics_maps import QUICK_STARTS
+from motdiff.network.sampling import psfs_of_maps
 from motdiff.training.config import TrainingConfig
 from motdiff.training.data import Batch, BatchSource, LiveSource, PreparedSource, seed_of
 from motdiff.training.log import RunLog

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from motdiff.conditions import quick_kernels
 from motdiff.network.condition import PHOTO_PX
+from motdiff.network.physics_maps import quick_kernels
 from motdiff.psf_frame import MAP_PITCH, PSF_PX
 from motdiff.training.motion_bank import MotionBank
 from motdiff.training.photos import crops

@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from motdiff.diffusion import Schedule
 from motdiff.network import MotDiffNetwork, PathNetwork
+from motdiff.network.diffusion import Schedule
+from motdiff.network.sampling import psf_signals, psfs_of_maps, psfs_of_signals, sample_paths
 from motdiff.psf_frame import PSF_PX
-from motdiff.sampling import psf_signals, psfs_of_maps, psfs_of_signals, sample_paths
 from motdiff.training.data import Batch
 
 __all__ = ["drawn_psfs", "path_loss", "path_psfs", "psf_batch"]
@@ -19,7 +19,7 @@ _BLURS_PX = (0.6, 1.8, 5.0)  # the sharpest is nearly MNC; the others pull from 
 
 
 def psf_batch(batch: Batch) -> Batch:
-    """Batch whose ``x0`` (B, 1, 64, 64) are PSFs as they are diffused, see :func:`motdiff.sampling.psf_signals`."""
+    """Batch whose ``x0`` (B, 1, 64, 64) are PSFs as they are diffused, see :func:`psf_signals`."""
     signals = psf_signals(psfs_of_maps(batch.dwell))
     return Batch(batch.photo, batch.physics, signals, torch.zeros_like(signals))
 
@@ -81,7 +81,7 @@ def drawn_psfs(
         In eval mode.
     batch : Batch
     schedule, steps, generator
-        As for :func:`motdiff.sampling.sample_paths`; a quadratic path needs none.
+        As for :func:`motdiff.network.sampling.sample_paths`; a quadratic path needs none.
     """
     if isinstance(network, PathNetwork):
         paths: Tensor = network(batch.photo, batch.physics)

@@ -11,10 +11,10 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
-from motdiff.half_weights import halved, read_header, read_tensors
+from motdiff.io.outputs import write_bytes
 from motdiff.network import MotDiffNetwork, NetworkConfig, PathNetwork, build_network
-from motdiff.outputs import write_bytes
 from motdiff.training.checkpoint import read_checkpoint
+from motdiff.weights_io import halved, read_header, read_tensors
 
 __all__ = [
     "DEFAULT_WEIGHTS",

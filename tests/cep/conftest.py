@@ -9,10 +9,10 @@ import pytest
 import typer
 
 from cep.cli.main import main
-from cep.code import ShutterCode
-from cep.files import StoredCode, write_code
-from cep.images import write_image
-from motdiff.files import StoredMotion, write_motion
+from cep.io.files import StoredCode, write_code
+from cep.io.images import write_image
+from cep.optics.code import ShutterCode
+from motdiff.io.trajectories import StoredMotion, write_motion
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 

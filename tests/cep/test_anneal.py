@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.baselines.published import PUBLISHED
-from cep.certify.minimum import min_chip
-from cep.code import ShutterCode
-from cep.mtf import measure
+from cep.codes.published import PUBLISHED
+from cep.optics.code import ShutterCode
+from cep.optics.mtf import measure
+from cep.proofs.certify.minimum import min_chip
 from cep.search.annealing.anneal import anneal
 from cep.search.annealing.proposals import keeps_runs
-from cep.search.annealing.tables import limits_of
+from cep.search.annealing.terms import limits_of
 from cep.search.bounding.bounds import bound
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem, open_range_of_duty
@@ -182,7 +182,7 @@ def test_time_limit_ends_a_search():
 def test_a_search_without_a_number_of_moves_goes_on_for_its_time(monkeypatch):
     """However many moves that is: the clock runs by a fiftieth of the time with each look at it by the caller."""
     clock, told = [0.0], []
-    monkeypatch.setattr("cep.search.annealing.budget.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("cep.search.annealing.anneal.time.monotonic", lambda: clock[0])
 
     def progress(fraction, _best):
         told.append(fraction)
@@ -209,7 +209,7 @@ def test_nothing_to_choose_is_complete():
 @pytest.mark.parametrize("ends", ["in time", "late", "ctrl-c"])
 def test_a_polish_ends_with_the_time_or_ctrl_c(monkeypatch, ends):
     problem, clock, told = SearchProblem(chips=40, open_range=(20, 20)), [0.0], []
-    monkeypatch.setattr("cep.search.annealing.budget.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("cep.search.annealing.anneal.time.monotonic", lambda: clock[0])
 
     def progress(fraction, best):
         told.append((fraction, best))

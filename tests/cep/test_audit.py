@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.audit import better_neighbours, grid_claims, null_threshold, zeros_by_direction
-from cep.baselines.published import CLAIMS, PUBLISHED
-from cep.certify.certificate import certify
-from cep.certify.minimum import min_chip
-from cep.code import ShutterCode
-from cep.exposure import coded_otf
-from cep.files import StoredCode, write_code
+from cep.codes.published import CLAIMS, PUBLISHED
+from cep.io.files import StoredCode, write_code
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_otf
+from cep.proofs.audit import better_neighbours, grid_claims, null_threshold, zeros_by_direction
+from cep.proofs.certify.certificate import certify
+from cep.proofs.certify.minimum import min_chip
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5]])

@@ -13,8 +13,8 @@ from fuzz_readers import dng
 from named_pipes import empty_pipe
 from scipy.io import savemat
 
-from cep.images import write_image
-from motdiff.files import StoredMotion, write_motion
+from cep.io.images import write_image
+from motdiff.io.trajectories import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory
 
 GOOD = {
@@ -229,7 +229,7 @@ def dense(noise_px):
 def test_a_dense_path_is_searched_as_quickly_as_any(cep, workplace, monkeypatch):
     """Shown by what the search is given: no test asserts a wall time."""
     seen = []
-    monkeypatch.setattr("cep.optimize.search", lambda problem, *_, **__: seen.append(problem) or 1 / 0)
+    monkeypatch.setattr("cep.workflows.optimize.search", lambda problem, *_, **__: seen.append(problem) or 1 / 0)
     dense(0.0)
     cep("optimize", "--trajectory", "dense.json", "--chips", "8", "-o", "new.json")
     assert seen[0].scenarios[0].trajectory.t.size < 2000

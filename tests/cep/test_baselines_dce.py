@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from cep.baselines.dce.binarise import binarise, code_of, weights_of
-from cep.baselines.dce.coding import coded_photos
-from cep.baselines.dce.losses import charbonnier, edge_loss, restoration_loss, spectral_loss
-from cep.baselines.dce.network import RestorationNetwork
-from cep.baselines.dce.samples import Batch
-from cep.baselines.dce.training import photos_of
-from cep.code import ShutterCode
-from cep.exposure import chip_psfs, coded_psf
+from cep.codes.dce.binarise import binarise, code_of, weights_of
+from cep.codes.dce.coding import coded_photos
+from cep.codes.dce.losses import charbonnier, edge_loss, restoration_loss, spectral_loss
+from cep.codes.dce.network import RestorationNetwork
+from cep.codes.dce.samples import Batch
+from cep.codes.dce.training import photos_of
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import chip_psfs, coded_psf
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 

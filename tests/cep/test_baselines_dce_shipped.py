@@ -5,10 +5,10 @@ import sys
 import numpy as np
 import pytest
 
-from cep.baselines.dce import SHIPPED, dce_code, restore
-from cep.baselines.dce.card import read_card
-from cep.baselines.published import published
-from cep.exposure import coded_psf
+from cep.codes.dce import SHIPPED, dce_code, restore
+from cep.codes.dce.card import read_card
+from cep.codes.published import published
+from cep.optics.exposure import coded_psf
 from motdiff.motions import boracchi_foi, random_straight
 from motdiff.simulate import add_noise, blur_valid, to_linear, valid_window
 
@@ -57,7 +57,7 @@ def test_an_even_photo_stays_as_bright_as_it_was():
 def test_the_code_is_read_without_torch():
     import subprocess
 
-    ask = "import sys; from cep.baselines.dce import dce_code; print(dce_code().chips, 'torch' in sys.modules)"
+    ask = "import sys; from cep.codes.dce import dce_code; print(dce_code().chips, 'torch' in sys.modules)"
     found = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
     assert found.stdout.split() == [str(dce_code().chips), "False"]
 

@@ -8,14 +8,14 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from cep.baselines.dce.__main__ import run
-from cep.baselines.dce.card import SCHEMA, read_card
-from cep.baselines.dce.samples import SIGMA_MAX, Samples, motion_mix
-from cep.baselines.dce.shipped import dce_code, restore
-from cep.baselines.dce.training import START, Settings, Trainer, train
-from cep.baselines.dce.weights import export_weights, load_network
-from cep.code import ShutterCode
-from cep.images import write_image
+from cep.codes.dce.__main__ import run
+from cep.codes.dce.card import SCHEMA, read_card
+from cep.codes.dce.samples import SIGMA_MAX, Samples, motion_mix
+from cep.codes.dce.shipped import dce_code, restore
+from cep.codes.dce.training import START, Settings, Trainer, train
+from cep.codes.dce.weights import export_weights, load_network
+from cep.io.images import write_image
+from cep.optics.code import ShutterCode
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 
 TINY = Settings(start="1101000101", batch=2, crop_px=16, rate=2e-3, code_rate=0.02)

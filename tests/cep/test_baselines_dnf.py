@@ -5,9 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from cep.baselines.dnf import dnf_code, dnf_problem
-from cep.code import ShutterCode
-from cep.mtf import chip_noise_db, measure
+from cep.optics.code import ShutterCode
+from cep.optics.mtf import chip_noise_db, measure
+from cep.search.dnf import dnf_code, dnf_problem
 from motdiff.trajectory import Trajectory
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cep.baselines.light import RandomCodes, best_snapshot, best_strobe, random_codes
-from cep.camera import Camera
-from cep.certify.minimum import min_chip
-from cep.code import ShutterCode
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.proofs.certify.minimum import min_chip
+from cep.search.light import RandomCodes, best_snapshot, best_strobe, random_codes
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory

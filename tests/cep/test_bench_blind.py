@@ -7,18 +7,16 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from cep.bench import sources
 from cep.bench.blind import report
 from cep.bench.blind.cases import real_pair, real_photos, shot_of, taken
 from cep.bench.blind.methods import SMALL_BUDGETS, budget_warning, chosen, label_of, version_of
-from cep.bench.blind.protocol import Motions, Protocol
+from cep.bench.blind.protocol import Motions, Protocol, drawn_shakes, synthetic_trace
+from cep.bench.blind.report import blind_tables, cells_csv
 from cep.bench.blind.run import one_each, planned
-from cep.bench.blind.shakes import drawn_shakes, synthetic_trace
-from cep.bench.blind.tables import blind_tables, cells_csv
-from cep.bench.blind.usage import Watched
-from cep.bench.blind.work import measure_levin, measure_real, measure_simulated, psf_from_text, psf_to_text
-from cep.bench.sources import source_version
-from cep.images import read_image, write_image
+from cep.bench.blind.work import Watched, measure_levin, measure_real, measure_simulated, psf_from_text, psf_to_text
+from cep.io.images import read_image, write_image
+from cep.jobs import fingerprint
+from cep.jobs.fingerprint import source_version
 from motdiff.crops import luminance
 from motdiff.metrics import mnc
 from motdiff.simulate import blur_symmetric, blur_valid, valid_window
@@ -296,7 +294,7 @@ def test_an_estimators_cost_is_its_own():
 
 
 def forget():
-    for known in (sources._file, sources._tree, sources._imports, sources._meaning):
+    for known in (fingerprint._file, fingerprint._tree, fingerprint._imports, fingerprint._meaning):
         known.cache_clear()
 
 
@@ -313,10 +311,10 @@ def test_a_version_changes_with_the_code_and_not_with_its_comments(tmp_path, mon
     first = version('"""A."""\n\n\ndef f(x):\n    """B."""\n    return x + 1\n')
     assert version('"""C."""\ndef f(x):\n    return (x + 1)  # why\n') == first
     assert version("def f(x):\n    return x + 2\n") != first
-    inside = version("def f(x):\n    from cep.bench import photos\n    return photos\n")
-    assert inside != version("def f(x):\n    from cep import code\n    return code\n")
+    inside = version("def f(x):\n    from cep.bench import datasets as photos\n    return photos\n")
+    assert inside != version("def f(x):\n    from cep.optics import code\n    return code\n")
     weights.write_bytes(b"2")
-    assert inside != version("def f(x):\n    from cep.bench import photos\n    return photos\n")
+    assert inside != version("def f(x):\n    from cep.bench import datasets as photos\n    return photos\n")
     with pytest.raises(ValueError, match=r"module: there is no cep\.nowhere"):
         source_version(["cep.nowhere"])
     forget()
@@ -332,14 +330,14 @@ def test_every_method_has_a_version_of_its_own_code():
 @pytest.mark.parametrize(
     "module",
     [
-        *("cep.bench.photos", "cep.images", "motdiff.simulate", "motdiff.crops", "motdiff.metrics"),
-        *("motdiff.evaluation.sets", "motdiff.trajectory", "cep.bench.blind.usage"),
+        *("cep.bench.datasets", "cep.io.images", "motdiff.simulate", "motdiff.crops", "motdiff.metrics"),
+        *("motdiff.evaluation.sets", "motdiff.trajectory", "cep.bench.blind.work"),
     ],
 )
 def test_a_version_changes_with_what_takes_and_measures_the_photo(monkeypatch, module, method):
-    first, read = version_of(method), sources._meaning
+    first, read = version_of(method), fingerprint._meaning
     assert version_of(method) == first
-    monkeypatch.setattr(sources, "_meaning", lambda name: "another" if name == module else read(name))
+    monkeypatch.setattr(fingerprint, "_meaning", lambda name: "another" if name == module else read(name))
     assert version_of(method) != first
 
 

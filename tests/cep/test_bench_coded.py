@@ -13,28 +13,24 @@ import pytest
 from scipy import ndimage
 from skimage import data
 
-from cep.baselines.published import published
-from cep.bench.coded import designs, motions, protocol
-from cep.bench.coded.calibrated import estimate_motion
+from cep.bench.coded import designs, protocol
+from cep.bench.coded import protocol as motions
 from cep.bench.coded.designs import DESIGNS, Known, designed
-from cep.bench.coded.motions import drawn_motions
-from cep.bench.coded.paths import paths_from, paths_to
-from cep.bench.coded.protocol import CodedProtocol, coded_protocol
+from cep.bench.coded.protocol import CodedProtocol, coded_protocol, drawn_motions, paths_from, paths_to
 from cep.bench.coded.report import OUTPUTS, write_coded_report
-from cep.bench.coded.run import CodedTable, Shot, measure_coded
+from cep.bench.coded.run import ESTIMATORS, CodedTable, Shot, code_version, measure_coded, motion_version, photo_version
+from cep.bench.coded.stages import estimate_motion, photographed, take_photo
 from cep.bench.coded.tables import coded_tables, harmed, shots_csv
-from cep.bench.coded.taken import photographed, take_photo
-from cep.bench.coded.told import ESTIMATORS
-from cep.bench.coded.versions import code_version, motion_version, photo_version
-from cep.camera import Camera
-from cep.code import ShutterCode
-from cep.images import write_image
-from cep.mtf import measure
-from cep.restore.wiener import wiener
+from cep.codes.published import published
+from cep.io.images import write_image
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.optics.mtf import measure
+from cep.restoration.wiener import wiener
 from motdiff.estimators.base import MotionEstimate
 from motdiff.motions import boracchi_foi
 from motdiff.psf_frame import PSF_PX
-from motdiff.quadratic import nearest_quadratic
+from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
 
 TINY = CodedProtocol(
@@ -489,7 +485,7 @@ def test_a_tiny_table_and_its_cells_found_again(tmp_path, monkeypatch):
         assert {**coded.arguments, "bits": ""} == {**plain.arguments, "bits": ""}
     assert not any(shot.arguments["light_true"] for shot in measured.shots)  # without light levels, light is no matter
     assert by_name["open", 0].arguments["seed"] != by_name["open", 1].arguments["seed"]
-    monkeypatch.setattr("cep.bench.engine.worked", untouchable)
+    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
     again = measure_coded(tiny, photos, cache=tmp_path / "cells", designs=KNOWING)
     assert [(shot.bits, shot.figures) for shot in again.shots] == [(s.bits, s.figures) for s in measured.shots]
 

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 from emulators.tools import give_up
 
-from cep.bench.cells import Cell
-from cep.bench.engine import run_cells
-from cep.bench.sources import all_sources
 from cep.cli.console import BAD_INPUT, explain
+from cep.jobs.cells import Cell
+from cep.jobs.engine import run_cells
+from cep.jobs.fingerprint import all_sources
 
 ROOT = Path(__file__).parents[2]
 COUNT = 12
@@ -77,7 +77,7 @@ class Cluster:
 
 @pytest.fixture
 def cluster(tmp_path, monkeypatch):
-    monkeypatch.setattr("cep.bench.spread._WORKERS_S", 60.0)  # a busy machine is slow to start one
+    monkeypatch.setattr("cep.jobs.executors._WORKERS_S", 60.0)  # a busy machine is slow to start one
     all_sources.cache_clear()  # somebody may have edited them since the last test
     made = Cluster(tmp_path)
     try:
@@ -207,7 +207,7 @@ def test_a_dead_address_is_one_line(tmp_path, address, capfd):
 
 
 def test_a_scheduler_without_workers(cluster, tmp_path, monkeypatch):
-    monkeypatch.setattr("cep.bench.spread._WORKERS_S", 0.3)
+    monkeypatch.setattr("cep.jobs.executors._WORKERS_S", 0.3)
     with pytest.raises(ValueError, match=f"dask: the scheduler at {cluster.address} has no workers"):
         run_cells(cells(tmp_path / "log"), cache=tmp_path / "cache", dask=cluster.address)
 
@@ -226,22 +226,22 @@ def copied(folder):
 
 
 def other_code(root):
-    path = root / "cep/mtf.py"
+    path = root / "cep/optics/mtf.py"
     path.write_text(path.read_text(encoding="utf-8") + "\nSCENE_STD = 0.3\n", encoding="utf-8")
 
 
 def other_weights(root):
-    path = root / "cep/restore/denoiser/denoiser.safetensors"
+    path = root / "cep/restoration/denoiser/denoiser.safetensors"
     path.write_bytes(path.read_bytes()[:-1] + b"?")
 
 
 def a_module_less(root):
-    (root / "cep/demo/page.py").unlink()
+    (root / "cep/report/demo_page.py").unlink()
 
 
 def as_before_workers_were_asked(root):
-    for name in ("sources", "spread"):
-        path = root / f"cep/bench/{name}.py"
+    for name in ("fingerprint", "executors"):
+        path = root / f"cep/jobs/{name}.py"
         path.write_text(path.read_text(encoding="utf-8").replace("all_sources", "_nothing"), encoding="utf-8")
 
 

@@ -14,10 +14,10 @@ import bench_work
 import numpy as np
 import pytest
 
-from cep.bench.cells import Cell
-from cep.bench.engine import run_cells
-from cep.bench.spread import in_processes
 from cep.cli.console import FAILURE, explain
+from cep.jobs.cells import Cell
+from cep.jobs.engine import run_cells
+from cep.jobs.executors import in_processes
 
 ROOT = Path(__file__).parents[2]
 
@@ -115,7 +115,7 @@ def test_a_key_press_stops_processes_quietly(cache, log):
     """A terminal sends Ctrl-C to the workers too: no traceback of theirs may appear."""
     code = (
         f"import sys; sys.path[:0] = {[str(ROOT / 'tests'), str(ROOT)]!r}\n"
-        "import bench_work, numpy as np; from cep.bench.cells import Cell; from cep.bench.engine import run_cells\n"
+        "import bench_work, numpy as np; from cep.jobs.cells import Cell; from cep.jobs.engine import run_cells\n"
         "pixels = np.ones((2, 2))\n"
         f"cells = [Cell((str(n),), bench_work.total, {{'pixels': n * pixels, 'log': {str(log)!r}, 'slow_s': 0.3}})"
         " for n in range(200)]\n"
@@ -171,7 +171,7 @@ def test_a_process_that_is_started_anew_is_no_news(monkeypatch):
         warnings.warn("A worker stopped while some jobs were given to the executor. (loky)", UserWarning, stacklevel=1)
         yield from ((key, bench_work.square) for key in list(tasks))
 
-    monkeypatch.setattr("cep.bench.spread._spread", renewed)
+    monkeypatch.setattr("cep.jobs.executors._spread", renewed)
     before = list(warnings.filters)
     tasks = dict.fromkeys("ab", (bench_work.square, {}))
     assert [key for key, _ in in_processes(tasks, 2)] == ["a", "b"]
@@ -292,8 +292,8 @@ def test_one_that_kills_its_process_fails_alone(cache):
 
 def test_machines_of_cached_cells_are_told(cache, log):
     """Speed must not be told as this machine's where another one measured it."""
-    from cep.bench.cache import Cache
-    from cep.bench.cells import Finished, fingerprints
+    from cep.jobs.cache import Cache
+    from cep.jobs.cells import Finished, fingerprints
 
     cells = squares([1, 2, 3], log)
     elsewhere = {"processor": "another"}

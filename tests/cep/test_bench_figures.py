@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cep.bench.figures import FIGURE_SUFFIXES, write_figure
+from cep.bench.table_io import FIGURE_SUFFIXES, write_figure
 from cep.plots.canvas import new_figure, show_photo
 
 

@@ -6,9 +6,8 @@ import pytest
 from cep.bench.blind.cases import check_real, real_photos
 from cep.bench.blind.protocol import Protocol
 from cep.bench.blind.run import planned
-from cep.bench.pairs import RSBLUR_LIST, koehler_pairs, rsblur_pairs
-from cep.bench.photos import layout_of, photo_folder
-from cep.images import write_image
+from cep.bench.datasets import RSBLUR_LIST, koehler_pairs, layout_of, photo_folder, rsblur_pairs
+from cep.io.images import write_image
 
 
 def photo(path, *, side=(70, 80)):

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from cep.bench.layout import made_json
-from cep.bench.photos import bundled_photos, crop, layout_of, photo_folder, pick
-from cep.code import ShutterCode
-from cep.demo import DEMO_FILES
-from cep.files import FRONT_SCHEMA, StoredCode, write_code, write_psf
-from cep.images import read_image, write_image
-from motdiff.files import StoredMotion, write_motion
+from cep.bench.datasets import bundled_photos, crop, layout_of, photo_folder, pick
+from cep.bench.table_io import made_json
+from cep.io.files import FRONT_SCHEMA, StoredCode, write_code, write_psf
+from cep.io.images import read_image, write_image
+from cep.optics.code import ShutterCode
+from cep.workflows.demo import DEMO_FILES
+from motdiff.io.trajectories import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory
 
 

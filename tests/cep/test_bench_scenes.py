@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep.bench.scenes import Cut, labels_of, sharp_scene
-from cep.images import write_image
+from cep.bench.datasets import Cut, labels_of, sharp_scene
+from cep.io.images import write_image
 
 CUT = Cut(80, "linear", (3, 1))
 

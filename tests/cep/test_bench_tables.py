@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cep.bench.layout import TABLES_SCHEMA, tables_csv, tables_json, tables_markdown
-from cep.bench.machine import machine
 from cep.bench.statistics import mean_interval, summed_up
+from cep.bench.table_io import TABLES_SCHEMA, tables_csv, tables_json, tables_markdown
 from cep.bench.tables import Column, differences, tabulate
-from cep.cli.bench_options import show_tables
 from cep.cli.console import table as rich_table
+from cep.cli.jobs import show_tables
+from cep.jobs.machine import machine
 
 PSNR = Column("psnr_db", "PSNR, dB", better="high")
 PHOTOS, MOTIONS = 10, 4

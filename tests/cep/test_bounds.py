@@ -8,18 +8,28 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.band import band_samples
-from cep.certify.minimum import min_chip
-from cep.code import ShutterCode
-from cep.exposure import chip_basis
-from cep.mtf import measure
-from cep.response import ShutterResponse
+from cep.optics.band import band_samples
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import chip_basis
+from cep.optics.mtf import measure
+from cep.optics.response import ShutterResponse
+from cep.proofs.certify.minimum import min_chip
 from cep.search.bounding import relaxation
 from cep.search.bounding.bounds import bound, relaxed_minimum
-from cep.search.bounding.dual import circle_average, form_matrix, gram, largest_form, largest_forms
-from cep.search.bounding.elementary import chip_ceilings
+from cep.search.bounding.motion_basis import chip_ceilings
 from cep.search.bounding.proving import tightened
-from cep.search.bounding.relaxation import Relaxation, cvxpy_solver, newton_solver, relax, rounded_codes
+from cep.search.bounding.relaxation import (
+    Relaxation,
+    circle_average,
+    cvxpy_solver,
+    form_matrix,
+    gram,
+    largest_form,
+    largest_forms,
+    newton_solver,
+    relax,
+    rounded_codes,
+)
 from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 

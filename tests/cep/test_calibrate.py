@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cep.calibrate import CALIBRATION_FILES, METHODS, calibrate, make_estimator, write_calibration
-from cep.files import read_psf
-from cep.images import read_image
+from cep.io.files import read_psf
+from cep.io.images import read_image
+from cep.workflows.calibrate import CALIBRATION_FILES, METHODS, calibrate, make_estimator, write_calibration
 from motdiff.estimators.base import MotionEstimate
-from motdiff.files import read_motion
 from motdiff.gyro import GyroTrace
+from motdiff.io.trajectories import read_motion
 from motdiff.trajectory import Trajectory
 
 TRACE = GyroTrace(np.linspace(0, 1, 101), np.tile([0.1, 0.2, 0.0], (101, 1)))
@@ -188,7 +188,7 @@ def test_the_command_says_which_method_an_option_is_for(cep, workplace, options,
 
 
 def test_a_photo_without_texture_is_refused_before_the_network_is_loaded(cep, workplace, made):
-    from cep.images import write_image
+    from cep.io.images import write_image
 
     write_image("grey.png", np.full((80, 90), 0.5))
     assert "motion shows only where the scene has texture" in cep.refuses("calibrate", "grey.png")
@@ -196,7 +196,7 @@ def test_a_photo_without_texture_is_refused_before_the_network_is_loaded(cep, wo
 
 
 def test_the_command_runs_a_network(cep, workplace, small_weights, monkeypatch):
-    monkeypatch.setattr("motdiff.estimators.blind.simplest_trajectory", lambda psf: BENT)  # noise is long to trace
+    monkeypatch.setattr("motdiff.estimators.multiscale.simplest_trajectory", lambda psf: BENT)  # noise is long to trace
     found = cep.succeeds("calibrate", "blurred.png", "--quick", "--samples", "1", "-o", "motion")
     assert found["method"] == "motdiff"
     assert found["details"]["samples"] == 1

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep import images
-from cep.bench.engine import run_cells
-from cep.calibrate import CALIBRATION_FILES
-from cep.calibrate_folder import estimate_from_figures, estimate_photo, motions_in, photos_in, sharp_of
 from cep.cli.console import FAILURE, INTERRUPTED
-from cep.files import read_psf
-from cep.images import write_image
+from cep.io import images
+from cep.io.files import read_psf
+from cep.io.images import write_image
+from cep.jobs.engine import run_cells
+from cep.workflows.calibrate import CALIBRATION_FILES
+from cep.workflows.calibrate_folder import estimate_from_figures, estimate_photo, motions_in, photos_in, sharp_of
 from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
@@ -155,7 +155,7 @@ def test_where_every_photo_fails_each_is_told(cep, shots, guesses):
 
 def test_a_dead_cluster_leaves_nothing(cep, shots, guesses, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("cep.bench.spread._CONNECT_S", 0.3)
+    monkeypatch.setattr("cep.jobs.executors._CONNECT_S", 0.3)
     assert "dask: no scheduler answers" in cep.refuses(*REFERENCE, "--dask", "tcp://127.0.0.1:9")
     assert not Path("shots_motion").exists()
 
@@ -211,7 +211,7 @@ def test_a_photo_that_goes_meanwhile_loses_no_other(cep, shots, guesses, monkeyp
             raise FileNotFoundError(2, "No such file or directory", str(path))
         return real(path, **options)
 
-    monkeypatch.setattr("cep.images.read_image", vanishing)
+    monkeypatch.setattr("cep.io.images.read_image", vanishing)
     cep(*REFERENCE, "--json")
     assert cep.code == FAILURE
     assert list(cep.json["failures"]) == ["b.tif"]
@@ -219,7 +219,7 @@ def test_a_photo_that_goes_meanwhile_loses_no_other(cep, shots, guesses, monkeyp
 
 
 def test_an_estimate_comes_back_to_the_last_bit(shots, tmp_path, guesses):
-    from cep.bench.cells import Cell
+    from cep.jobs.cells import Cell
 
     cell = Cell(
         ("a",), estimate_photo, {"photo": Path("shots/a.png"), "method": "reference", "sharp": Path("sharp.png")}

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cep.camera import SCHEMA, Camera, capture
+from cep.optics.camera import SCHEMA, Camera, capture
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 

@@ -5,14 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cep.response import ShutterResponse
-from cep.search.annealing.chains import Cooling, Crew, Walks
-from cep.search.annealing.cooling import cool
+from cep.optics.response import ShutterResponse
+from cep.search.annealing.chains import Cooling, Crew, Walks, cool, walk
 from cep.search.annealing.polish import neighbours
 from cep.search.annealing.states import Chain, fresh_otf, smallest_power, total_cost, worst_first
-from cep.search.annealing.tables import lay_out, limits_of, work_space
-from cep.search.annealing.terms import BLOCK
-from cep.search.annealing.walking import walk
+from cep.search.annealing.terms import BLOCK, lay_out, limits_of, work_space
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
 from motdiff.trajectory import Trajectory

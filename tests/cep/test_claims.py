@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from cep.demo import DEMO_FILES
-from cep.files import read_code
-from motdiff.files import read_motion
+from cep.io.files import read_code
+from cep.workflows.demo import DEMO_FILES
+from motdiff.io.trajectories import read_motion
 
 FILES = {
     "optimize": ("optimize", "--linear", "8", "--chips", "8", "-o", "OUT.json"),
@@ -46,15 +46,16 @@ FOLDERS = {
 """Commands that write a folder, which is made when it is missing, and a file in it."""
 
 WORK = (
-    "cep.images._decode", "cep.calibrate.make_estimator", "cep.optimize.search", "cep.cli.frames._search",
-    "cep.search.fronts.pareto.pareto_front", "cep.certify.certificate.certify", "cep.plots.mtf_figure",
-    "cep.restore.restore", "cep.bench.engine.run_cells", "cep.bench.coded.run.measure_coded",
+    "cep.io.images._decode", "cep.workflows.calibrate.make_estimator", "cep.workflows.optimize.search",
+    "cep.cli.frames._search",
+    "cep.search.fronts.pareto.pareto_front", "cep.proofs.certify.certificate.certify", "cep.plots.mtf_figure",
+    "cep.restoration.restore", "cep.jobs.engine.run_cells", "cep.bench.coded.run.measure_coded",
     "hw.drivers.finding.open_controller", "hw.recordings.capture.read_capture", "hw.emulation.uno.EmulatedUno",
-    "hw.export.csv_edges.export", "cep.demo.run_chain", "cep.demo.bundled_scene",
+    "hw.export.csv_edges.export", "cep.workflows.demo_chain.run_chain", "cep.workflows.demo_chain.bundled_scene",
 )  # fmt: skip
 
 
-BINDING = ("cep.bench.blind.run.", "cep.bench.codes.", "cep.calibrate_folder.", "cep.optimize.")
+BINDING = ("cep.bench.blind.run.", "cep.bench.codes.", "cep.workflows.calibrate_folder.", "cep.workflows.optimize.")
 """Modules that bind some of these names when they are imported, which must not be while they are replaced."""
 
 

@@ -15,13 +15,13 @@ import pytest
 from cep.cli import console
 from cep.cli.main import app
 from cep.cli.options import load_code
-from cep.code import ShutterCode
-from cep.exposure import coded_otf, coded_psf
-from cep.files import read_code, read_psf
-from cep.images import read_photo, write_image
-from cep.mtf import measure
+from cep.io.files import read_code, read_psf
+from cep.io.images import read_photo, write_image
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_otf, coded_psf
+from cep.optics.mtf import measure
 from hw.export import EXPORTERS
-from motdiff.files import StoredMotion, read_motion, write_motion
+from motdiff.io.trajectories import StoredMotion, read_motion, write_motion
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
 from motdiff.trajectory import Trajectory
 
@@ -184,7 +184,7 @@ def test_an_interrupt_exits_130(cep, monkeypatch, workplace):
     def interrupted(*_arguments, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cep.restore.restore", interrupted)
+    monkeypatch.setattr("cep.restoration.restore", interrupted)
     before = sorted(workplace.iterdir())
     assert cep("deblur", "blurred.png", "--trajectory", "trajectory.json").code == 130
     assert (cep.out, cep.err) == ("", "cep: interrupted\n")
@@ -364,7 +364,7 @@ def test_a_second_interrupt_does_not_lose_the_code(cep, workplace, monkeypatch):
     def interrupted(*_arguments, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cep.baselines.compare.compare", interrupted)
+    monkeypatch.setattr("cep.workflows.compare.compare", interrupted)
     assert cep("optimize", "--linear", "20", "--chips", "16", "--steps", "1000", "-o", "new.json").code == 130
     assert cep.err == "cep: interrupted\n"
     stored = read_code("new.json")
@@ -470,7 +470,7 @@ def test_deblur_finds_the_reversed_direction(cep, workplace):
 
 
 def test_deblur_with_a_psf_and_without_a_code(cep, workplace):
-    from cep.files import write_psf
+    from cep.io.files import write_psf
 
     write_psf(".", read_motion("trajectory.json").trajectory.psf())
     for method in ("wiener", "inverse", "tv", "l0", "pnp"):

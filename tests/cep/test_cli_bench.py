@@ -8,7 +8,7 @@ import pytest
 
 from cep.bench.codes import code_cells, code_rows
 from cep.cli.console import FAILURE, INTERRUPTED
-from cep.code import ShutterCode
+from cep.optics.code import ShutterCode
 
 
 def untouchable(*_arguments, **_options):
@@ -39,7 +39,7 @@ def test_codes_are_compared_at_equal_light_and_found_again(cep, workplace, monke
         assert [line["our_bits"] for line in csv.DictReader(stream)] == [row["bits"] for row in rows.values()]
 
     assert "exists already" in cep.refuses(*command)
-    monkeypatch.setattr("cep.bench.engine.worked", untouchable)
+    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
     assert cep.succeeds(*command, "--force")["tables"] == found["tables"]
     # what one code gives does not depend on which others are asked for
     alone = cep.succeeds("bench", "codes", "barker-13", "--time", "0.3", "--cache", "codes/cells", "-o", "alone")

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from cep.bench.index import INDEX
+from cep.bench.index_page import INDEX
 from cep.cli import bench
-from cep.cli.bench_codes import codes_job
-from cep.cli.bench_options import Engine
+from cep.cli.bench import codes_job
 from cep.cli.console import FAILURE, INTERRUPTED
+from cep.cli.jobs import Engine
 
 NAMES = {"first": "bdinr-8", "second": "barker-13"}
 ALL = ("bench", "--quick", "--workers", "1", "-o", "out")
@@ -62,7 +62,7 @@ def test_all_tables_in_one_folder_and_found_again(cep, tables, workplace, monkey
     assert str(workplace) not in text
 
     assert "exists already" in cep.refuses(*ALL)
-    monkeypatch.setattr("cep.bench.engine.worked", untouchable)
+    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
     assert cep.succeeds(*ALL, "--force")["tables"] == found["tables"]
 
 
@@ -104,11 +104,8 @@ def test_stopped_it_writes_what_is_there_and_goes_on_later(cep, tables, monkeypa
 def test_a_cost_is_never_measured_on_a_cluster(monkeypatch):
     """Beside others, or on machines of several kinds, times could not be compared."""
     engines = {}
-    for module, name in (
-        (bench.bench_blind, "speed_job"), (bench.bench_blind, "blind_job"), (bench.bench_cep, "cep_job"),
-        (bench.bench_codes, "codes_job"),
-    ):  # fmt: skip
-        monkeypatch.setattr(module, name, lambda folder, engine, **_options: engines.update({folder.name: engine}))
+    for name in ("speed_job", "blind_job", "cep_job", "codes_job"):
+        monkeypatch.setattr(bench, name, lambda folder, engine, **_options: engines.update({folder.name: engine}))
     given = Engine(Path("cells"), 2, "tcp://127.0.0.1:9")
     bench._jobs(Path("out"), given, data=None, gyro=None, quick=True, force=False)
     assert engines.pop("speed") == Engine(Path("cells"), 1, None)
@@ -130,7 +127,7 @@ def test_options_alone_run_and_no_arguments_help(cep, tables):
 
 
 def test_what_exists_is_refused_before_any_work(cep, tables, monkeypatch):
-    monkeypatch.setattr("cep.bench.engine.worked", untouchable)
+    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
     Path("out/second").mkdir(parents=True)
     Path("out/second/codes.csv").write_text("mine")
     assert "codes.csv: exists already" in cep.refuses(*ALL)
@@ -158,7 +155,7 @@ def test_the_tables_are_the_papers():
     ],
 )
 def test_bad_folders_are_refused_before_any_work(cep, workplace, monkeypatch, made, message):
-    monkeypatch.setattr("cep.bench.engine.worked", untouchable)
+    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
     made(Path("data"))
     line = cep.refuses("bench", "--quick", "--data", "data", "-o", "out")
     assert message in line

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from cep.bench.blind import work
-from cep.cli.bench_blind import blind_job, speed_job
+from cep.cli.bench import blind_job, speed_job
 from cep.cli.console import FAILURE, INTERRUPTED
-from cep.images import read_image, write_image
+from cep.io.images import read_image, write_image
 from motdiff.estimators.base import MotionEstimate
-from motdiff.quadratic import nearest_quadratic
+from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
 
 TINY = """\
@@ -234,7 +234,7 @@ def test_a_method_that_never_answers_is_told_with_its_reason(cep, studio, guesse
 
 
 def test_a_full_disk_keeps_the_finished_cells(cep, studio, guesses, monkeypatch):
-    from cep.bench import cache
+    from cep.jobs import cache
 
     real, written = cache.write_text, []
 
@@ -244,7 +244,7 @@ def test_a_full_disk_keeps_the_finished_cells(cep, studio, guesses, monkeypatch)
         written.append(path)
         real(path, text)
 
-    monkeypatch.setattr("cep.bench.cache.write_text", full)
+    monkeypatch.setattr("cep.jobs.cache.write_text", full)
     cep(*BLIND, "-o", "out", "--cache", "cells")
     assert cep.code == 1
     assert "No space left on device" in cep.err

@@ -10,8 +10,8 @@ import pytest
 from cep.bench.coded import designs
 from cep.bench.coded.designs import DESIGNS
 from cep.cli.console import FAILURE, INTERRUPTED
-from cep.code import ShutterCode
-from cep.images import read_image, write_image
+from cep.io.images import read_image, write_image
+from cep.optics.code import ShutterCode
 
 TINY = """\
 name = "tiny"
@@ -96,7 +96,7 @@ def test_from_photos_to_every_output_and_found_again(cep, studio, monkeypatch):
     assert min(height, width) > 300
 
     assert "exists already" in cep.refuses(*CEP, "-o", "out")
-    monkeypatch.setattr("cep.bench.engine.worked", untouchable)
+    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
     assert cep.succeeds(*CEP, "-o", "out", "--force")["tables"] == found["tables"]
 
 
@@ -147,7 +147,7 @@ def test_a_second_run_takes_no_picture_of_the_first_for_a_photo(cep, studio):
 
 
 def test_people_see_tables_and_where_the_files_are(cep, studio, monkeypatch):
-    monkeypatch.setattr("cep.bench.photos.bundled_photos", lambda: (Path("photos/a.png"),))
+    monkeypatch.setattr("cep.bench.datasets.bundled_photos", lambda: (Path("photos/a.png"),))
     cep("bench", "cep", "--protocol", "tiny.toml", "--designs", "open", "--quick", "--workers", "1", "-o", "out")
     assert cep.code == 0, cep.err
     assert TABLES[3] in cep.out
@@ -188,6 +188,6 @@ def notes():
 def test_refusals(cep, studio, monkeypatch, options, prepared, message):
     if prepared is not None:
         prepared()
-    monkeypatch.setattr("cep.bench.engine.worked", untouchable)
+    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
     assert message in cep.refuses(*CEP, "-o", "out", *options)
     assert not Path("out/cep.md").exists()

@@ -8,8 +8,8 @@ import pytest
 from emulators.cxp_controller import CxpController
 from emulators.tools import require_simavr
 
-from cep.code import ShutterCode
-from cep.files import StoredCode, write_code
+from cep.io.files import StoredCode, write_code
+from cep.optics.code import ShutterCode
 
 PARAMETER = re.compile(r"\b[a-z]+_[a-z_]+\b")
 TOO_LONG = str(2**63)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep.baselines.published import for_chips
-from cep.certify.minimum import min_chip
-from cep.code import ShutterCode
+from cep.codes.published import for_chips
+from cep.optics.code import ShutterCode
+from cep.proofs.certify.minimum import min_chip
 from cep.search.fronts import pareto as module
 
 

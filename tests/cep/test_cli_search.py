@@ -9,14 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cep.code import ShutterCode
-from cep.files import read_code
+from cep.io.files import read_code
+from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import standard_moves
 from cep.search.fronts import pareto as fronts
 from cep.search.problem import SearchProblem
 from hw.device import load_profile
 from hw.program import Program
-from motdiff.files import StoredMotion, write_motion
+from motdiff.io.trajectories import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory
 
 
@@ -203,7 +203,7 @@ def test_a_comparison_that_the_time_ended_is_told(cep, workplace, monkeypatch):
         limits.append(time_s)
         return SimpleNamespace(code=ShutterCode("1" * chips), stopped="time")
 
-    monkeypatch.setattr("cep.baselines.compare.dnf_search", cut_short)
+    monkeypatch.setattr("cep.workflows.compare.dnf_search", cut_short)
     searched = ["optimize", "--linear", "12", "--chips", "12", "--steps", "500", "--time", "9"]
     found = cep.succeeds(*searched, "--force")
     assert limits == [9.0]

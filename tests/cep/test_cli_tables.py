@@ -10,11 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from cep.bench.blind.tables import blind_tables
-from cep.bench.codes_report import CODE_HEAD
-from cep.cli.bench_options import show_tables
+from cep.bench.blind.report import blind_tables
+from cep.bench.codes import CODE_HEAD
 from cep.cli.console import Table, table
-from cep.cli.folders import finish_folder
+from cep.cli.jobs import finish_folder, show_tables
 
 WIDTHS = (60, 80, 120)
 

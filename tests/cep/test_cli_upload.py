@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from emulators.cxp_controller import ARMED, LOADED, CxpController
 
-from cep.files import read_code
+from cep.io.files import read_code
 
 if not hasattr(signal, "SIGALRM"):
     pytest.skip("no pseudo-terminals on this system", allow_module_level=True)
@@ -82,7 +82,7 @@ def test_a_report_that_cannot_be_written_leaves_nothing_armed(cep, workplace, co
         assert controller.state == ARMED
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
-    monkeypatch.setattr("cep.outputs.write_text", full)
+    monkeypatch.setattr("cep.io.outputs.write_text", full)
     assert cep("upload", "code.json", "--port", controller.port, "--arm", "-o", "upload.json").code == 1
     assert cep.err == "cep: upload.json: No space left on device\n"
     assert controller.state == LOADED

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from emulators.cxp_controller import CxpController
 
-from cep.files import read_code
+from cep.io.files import read_code
 from hw.program import Program
 
 CODE = ("110100100011", "--chip-ns", "200000")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cep.code import ShutterCode
+from cep.optics.code import ShutterCode
 
 codes = st.text("01", min_size=1, max_size=40).filter(lambda bits: "1" in bits).map(ShutterCode)
 

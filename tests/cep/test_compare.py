@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cep.baselines.compare import compare
-from cep.code import ShutterCode
+from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import anneal
 from cep.search.problem import SearchProblem
+from cep.workflows.compare import compare
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
@@ -74,7 +74,7 @@ def test_the_search_among_the_baselines_keeps_the_time_limit_and_says_what_it_en
         limits.append(time_s)
         return SimpleNamespace(code=ShutterCode("1" * chips), stopped="interrupted")
 
-    monkeypatch.setattr("cep.baselines.compare.dnf_search", cut_short)
+    monkeypatch.setattr("cep.workflows.compare.dnf_search", cut_short)
     rows = named(SearchProblem.along(BENT, chips=9), ShutterCode("110100011"), **given)
     assert limits == [used]
     assert [name for name, row in rows.items() if row.stopped_early] == ["length-only code"]

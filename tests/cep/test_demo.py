@@ -6,16 +6,16 @@ import re
 import numpy as np
 import pytest
 
-from cep.camera import Camera
-from cep.demo import DEMO_FILES, Scene, bundled_scene, demo_report, own_photo, run_chain, write_demo
-from cep.demo.chain import LIGHT_LEVELS
-from cep.demo.page import DEMO_PICTURES, verdict
-from cep.files import read_code
-from cep.images import read_photo
-from cep.report import html
+from cep.io.files import read_code
+from cep.io.images import read_photo
+from cep.optics.camera import Camera
+from cep.report.demo_page import DEMO_PICTURES, demo_report, verdict
+from cep.report.result_page import html
+from cep.workflows.demo import DEMO_FILES, write_demo
+from cep.workflows.demo_chain import LIGHT_LEVELS, Scene, bundled_scene, own_photo, run_chain
 from hw.export import EXPORTERS
 from motdiff.estimators.reference import ReferenceEstimator
-from motdiff.files import read_motion
+from motdiff.io.trajectories import read_motion
 
 CAMERA = Camera()
 

@@ -10,12 +10,12 @@ import torch
 from safetensors.torch import save_file
 from skimage import data
 
-from cep.images import write_image
-from cep.restore.denoiser.__main__ import run
-from cep.restore.denoiser.network import DenoisingNetwork
-from cep.restore.denoiser.samples import SIGMAS, draw
-from cep.restore.denoiser.training import Settings, Trainer, train
-from cep.restore.denoiser.weights import SCHEMA, SHIPPED, load_denoiser, read_card, write_weights
+from cep.io.images import write_image
+from cep.restoration.denoiser.__main__ import run
+from cep.restoration.denoiser.network import DenoisingNetwork
+from cep.restoration.denoiser.samples import SIGMAS, draw
+from cep.restoration.denoiser.training import Settings, Trainer, train
+from cep.restoration.denoiser.weights import SCHEMA, SHIPPED, load_denoiser, read_card, write_weights
 from motdiff.simulate import to_linear
 
 TINY = Settings(batch=2, crop_px=16)

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.camera import Camera
-from cep.code import ShutterCode
-from cep.design import check_resolved, expected_psnr_db, judge, limits_of_device, response_of_device
-from cep.mtf import measure
-from cep.response import ShutterResponse
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.optics.mtf import measure
+from cep.optics.response import ShutterResponse
 from cep.search.problem import SearchProblem
+from cep.workflows.compare import check_resolved, expected_psnr_db, judge, limits_of_device, response_of_device
 from hw.device import DeviceProfile, load_profile
 from hw.program import Program
 from motdiff.trajectory import Trajectory

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from skimage import data
 
-from cep.camera import Camera, capture
-from cep.code import ShutterCode
-from cep.exposure import coded_psf
-from cep.restore import compare_psfs, direction
+from cep.optics.camera import Camera, capture
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.restoration import compare_psfs, direction
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -32,7 +32,7 @@ def photo_along(path, code, *, scene="camera", sigma=0.005, seed=0):
 @pytest.mark.parametrize("sigma", [0.002, 0.01])
 @pytest.mark.parametrize("path", [curved(), Trajectory.straight(22.0, angle_rad=0.3)], ids=["curved", "straight"])
 def test_says_which_way_the_camera_ran(path, scene, sigma):
-    result = direction.test_directions(photo_along(path, RASKAR_52, scene=scene, sigma=sigma), path, RASKAR_52)
+    result = direction.detect_direction(photo_along(path, RASKAR_52, scene=scene, sigma=sigma), path, RASKAR_52)
     assert result.direction == "forward"
     assert result.confidence > 0.6
     np.testing.assert_allclose(result.psf, coded_psf(path, RASKAR_52))
@@ -41,8 +41,8 @@ def test_says_which_way_the_camera_ran(path, scene, sigma):
 def test_swapping_the_paths_swaps_the_answer():
     path = curved()
     photo = photo_along(path, RASKAR_52)
-    one = direction.test_directions(photo, path, RASKAR_52)
-    other = direction.test_directions(photo, path.reversed(), RASKAR_52)
+    one = direction.detect_direction(photo, path, RASKAR_52)
+    other = direction.detect_direction(photo, path.reversed(), RASKAR_52)
     assert (one.direction, other.direction) == ("forward", "reverse")
     assert one.confidence == pytest.approx(other.confidence, rel=1e-6)
     assert one.residuals == pytest.approx(other.residuals[::-1], rel=1e-6)
@@ -67,7 +67,7 @@ def test_random_hand_shakes():
     ids=["uncoded", "palindrome on a straight path"],
 )
 def test_symmetric_cases_are_undecidable(path, code):
-    result = direction.test_directions(photo_along(path, code), path, code)
+    result = direction.detect_direction(photo_along(path, code), path, code)
     assert result.direction == "undecidable"
     assert result.confidence == 0.5
     np.testing.assert_allclose(result.psf, coded_psf(path, code))
@@ -87,7 +87,7 @@ def test_colour_and_large_photos():
 
 def test_bad_photo():
     with pytest.raises(ValueError, match="photo"):
-        direction.test_directions(np.full((20, 20), np.nan), curved(), RASKAR_52)
+        direction.detect_direction(np.full((20, 20), np.nan), curved(), RASKAR_52)
 
 
 def _pair():

@@ -9,17 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.band import band_samples
-from cep.certify.minimum import min_chip
-from cep.code import ShutterCode
-from cep.exposure import chip_basis
-from cep.response import ShutterResponse
+from cep.optics.band import band_samples
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import chip_basis
+from cep.optics.response import ShutterResponse
+from cep.proofs.certify.minimum import min_chip
 from cep.search.exhaustive import exact as module
 from cep.search.exhaustive.blocks import Tables
 from cep.search.exhaustive.exact import codes_to_count, exact
-from cep.search.exhaustive.exhaust import INNER, all_patterns
+from cep.search.exhaustive.exhaust import INNER, Limits, all_patterns, keeps_runs, possible
 from cep.search.exhaustive.proof import ProofLog
-from cep.search.exhaustive.runs import Limits, keeps_runs, possible
 from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 

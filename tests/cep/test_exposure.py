@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.code import ShutterCode
-from cep.exposure import chip_basis, chip_psfs, coded_otf, coded_psf
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import chip_basis, chip_psfs, coded_otf, coded_psf
 from motdiff.trajectory import Trajectory, bilinear_otf
 
 FX, FY = np.random.default_rng(1).uniform(-0.5, 0.5, (2, 60))

@@ -11,9 +11,9 @@ from hypothesis.extra.numpy import arrays
 from scipy.io import loadmat, savemat
 from scipy.signal import convolve2d
 
-from cep.code import ShutterCode
-from cep.files import StoredCode, json_text, plain, read_code, read_psf, write_code, write_psf
-from cep.images import write_image
+from cep.io.files import StoredCode, json_text, plain, read_code, read_psf, write_code, write_psf
+from cep.io.images import write_image
+from cep.optics.code import ShutterCode
 from motdiff.evaluation.sets import levin_photo
 
 

@@ -7,19 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep.band import band_samples
-from cep.code import ShutterCode
-from cep.exposure import open_path
-from cep.files import read_code
-from cep.response import ShutterResponse
+from cep.io.files import read_code
+from cep.optics.band import band_samples
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import open_path
+from cep.optics.response import ShutterResponse
 from cep.search.annealing.anneal import anneal
-from cep.search.annealing.cooling import cool
+from cep.search.annealing.chains import cool, walk
 from cep.search.annealing.frames import anneal_frames
 from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables
 from cep.search.annealing.states import Chain, fresh_otf, smallest_power, total_cost, worst_first
-from cep.search.annealing.tables import limits_of
-from cep.search.annealing.terms import BLOCK
-from cep.search.annealing.walking import walk
+from cep.search.annealing.terms import BLOCK, limits_of
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, SearchProblem
 from motdiff.trajectory import Trajectory

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from full_disk import failing_rename, full_disk
 
-from cep.outputs import new_files, new_folder, write_text
+from cep.io.outputs import new_files, new_folder, write_text
 from cep.plots.canvas import new_figure
 from cep.search.fronts import pareto
 from cep.search.problem import SearchProblem
@@ -165,7 +165,7 @@ def test_a_command_leaves_all_its_files_or_none(cep, ready, monkeypatch, name):
 
     front = cache(partial(pareto.pareto_front, SearchProblem(chips=8), rng=np.random.default_rng(0), steps=50))
     monkeypatch.setattr(pareto, "pareto_front", lambda *_arguments, **_options: front())  # a second each time
-    for figure in ("cep.plots.pareto.pareto_figure", "cep.calibrate.trajectory_figure"):
+    for figure in ("cep.plots.pareto.pareto_figure", "cep.workflows.calibrate.trajectory_figure"):
         monkeypatch.setattr(figure, lambda *_arguments: new_figure(1, 1))
     arguments = (*COMMANDS[name], "--force")
     emptied()

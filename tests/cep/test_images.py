@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from cep.images import parse_gamma, read_image, read_photo, write_image
+from cep.io.images import parse_gamma, read_image, read_photo, write_image
 from motdiff.simulate import to_linear
 
 
@@ -189,7 +189,7 @@ def test_a_damaged_raw_file_is_refused_in_one_line_and_in_silence(tmp_path, capf
 def test_raw_files_are_limited_in_size_too(tmp_path, monkeypatch):
     pytest.importorskip("rawpy")
     (tmp_path / "a.dng").write_bytes(dng(np.full((64, 64), 9000, np.uint16)))
-    monkeypatch.setattr("motdiff.photo_files.MOST_PX", 64 * 63)
+    monkeypatch.setattr("motdiff.io.photo_files.MOST_PX", 64 * 63)
     with pytest.raises(ValueError, match=r"a\.dng: 64 x 64 px"):
         read_image(tmp_path / "a.dng")
 

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.code import ShutterCode
-from cep.search import drawing, feasibility
-from cep.search.drawing import draw, log_count
-from cep.search.feasibility import check_feasible, conflicting, feasible
-from cep.search.limits import Limits, checked_mask, fixed_mask
+from cep.optics.code import ShutterCode
+from cep.search import limits as feasibility
+from cep.search import sampling
+from cep.search.limits import Limits, check_feasible, checked_mask, conflicting, feasible, fixed_mask
+from cep.search.sampling import draw, log_count
 
 
 @st.composite
@@ -89,7 +89,7 @@ def test_fewest_pulses_of_free_codes_are_those_of_the_walks(limits):
 @settings(max_examples=60, deadline=None)
 def test_closed_form_and_walks_count_the_same(limits):
     if feasible(limits):
-        walks = drawing._walks(limits, True, 0.0)
+        walks = sampling._walks(limits, True, 0.0)
         assert np.logaddexp.reduce(walks.by_count) == pytest.approx(log_count(limits), abs=1e-8)
 
 
@@ -115,7 +115,7 @@ def test_closed_form_and_walks_count_the_same(limits):
 def test_every_code_is_equally_likely(limits, closed_form):
     codes = sorted(every_code(limits))
     rng, many = np.random.default_rng(3), 200 * len(codes)
-    drawn = draw(limits, many, rng=rng) if closed_form else drawing._walks(limits, True, 0.0).draw(many, rng)
+    drawn = draw(limits, many, rng=rng) if closed_form else sampling._walks(limits, True, 0.0).draw(many, rng)
     assert drawn.dtype == np.int8
     found, counts = np.unique(text_of(drawn), return_counts=True)
     assert found.tolist() == codes
@@ -152,7 +152,7 @@ def test_long_codes_keep_their_limits(chips, mask):
 def test_too_large_a_table_tilts_towards_fewer_pulses_and_keeps_the_limits(monkeypatch, most, runs):
     limits = Limits(40, (15, 20), 1, 1, most, fixed_mask(40, first_open=True, last_open=True), **runs)
     exact = draw(limits, 400, rng=np.random.default_rng(0))
-    monkeypatch.setattr(drawing, "_MOST_NUMBERS", 5000)
+    monkeypatch.setattr(sampling, "_MOST_NUMBERS", 5000)
     codes = draw(limits, 400, rng=np.random.default_rng(0))
     assert all(keeps(bits, limits) for bits in text_of(codes))
     pulses = [(np.diff(drawn, axis=1, prepend=0) > 0).sum(axis=1).mean() for drawn in (codes, exact)]

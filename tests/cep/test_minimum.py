@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.certify.certificate import certify
-from cep.certify.minimum import chip_minimum, min_chip, mtf_minimum
-from cep.certify.polynomial import circle_rest, divided, divisible, sign_changes, vanishing_orders
-from cep.certify.taylor import first_cells, floors, jets, pieces_of_code, pieces_of_path
-from cep.certify.zeros import Zero, kantorovich, zeros_along, zeros_of_code
-from cep.code import ShutterCode
-from cep.exposure import coded_otf, open_path
-from cep.verify.certificates import verify
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_otf, open_path
+from cep.proofs.certify.certificate import certify
+from cep.proofs.certify.minimum import chip_minimum, min_chip, mtf_minimum
+from cep.proofs.certify.polynomial import circle_rest, divided, divisible, sign_changes, vanishing_orders
+from cep.proofs.certify.taylor import first_cells, floors, jets, pieces_of_code, pieces_of_path
+from cep.proofs.certify.zeros import Zero, kantorovich, zeros_along, zeros_of_code
+from cep.proofs.verify.certificates import verify
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -301,7 +301,7 @@ def test_zeros_of_a_straight_motion():
 def test_a_motion_with_a_zero_in_closed_form_needs_no_grid(monkeypatch, bits, angle_rad):
     """The grid's work grows with the square of the length: tens of thousands of px took minutes."""
     code = ShutterCode(bits)
-    monkeypatch.setattr("cep.certify.minimum.jets", lambda *_: pytest.fail("a grid"))
+    monkeypatch.setattr("cep.proofs.certify.minimum.jets", lambda *_: pytest.fail("a grid"))
     for length_px in (float(2 * code.chips), 30_000.0, 99_999.0):
         path = Trajectory.straight(length_px, angle_rad=angle_rad)
         found = mtf_minimum(path, code)

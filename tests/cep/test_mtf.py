@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate
 
-from cep.band import band_samples, circle_samples, straight_axis, uniform_length_px
-from cep.camera import Camera
-from cep.certify.minimum import chip_minimum, min_chip, mtf_minimum
-from cep.code import ShutterCode
-from cep.exposure import coded_otf
-from cep.mtf import SCENE_STD, band, chip_noise_db, inverse_scene, measure, noise_variance, wiener_mse, worst_of
+from cep.optics.band import band_samples, circle_samples, straight_axis, uniform_length_px
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_otf
+from cep.optics.mtf import SCENE_STD, band, chip_noise_db, inverse_scene, measure, noise_variance, wiener_mse, worst_of
+from cep.proofs.certify.minimum import chip_minimum, min_chip, mtf_minimum
 from motdiff.trajectory import Trajectory
 
 RASKAR = ShutterCode("1010000111000001010000110011110111010111001001100111")
@@ -198,7 +198,7 @@ def test_scene_spectrum_integrates_to_its_variance():
 
 
 def _at(x, y):
-    from cep.band import BandSamples
+    from cep.optics.band import BandSamples
 
     return BandSamples(np.array([x]), np.array([y]), np.ones(1), np.array([[x * x + y * y]]), np.ones((1, 1)))
 

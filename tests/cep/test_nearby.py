@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cep.response import ShutterResponse
-from cep.search.annealing.nearby import cheapest, otf_nearby
-from cep.search.annealing.polish import neighbours, polish
+from cep.optics.response import ShutterResponse
+from cep.search.annealing.polish import cheapest, neighbours, otf_nearby, polish
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
 from motdiff.trajectory import Trajectory

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from cep.cli.console import FAILURE, INTERRUPTED
-from cep.files import read_code
+from cep.io.files import read_code
 from cep.search.annealing import anneal as annealing
-from motdiff.files import StoredMotion, write_motion
+from motdiff.io.trajectories import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
@@ -138,7 +138,7 @@ def test_stopped_it_writes_what_is_finished_and_goes_on(cep, motions, monkeypatc
 
     monkeypatch.setattr(annealing, "anneal", interrupted)
     monkeypatch.setattr(
-        "cep.baselines.compare.dnf_search",
+        "cep.workflows.compare.dnf_search",
         lambda _length, chips, **_options: SimpleNamespace(code=annealing.ShutterCode("1" * chips), stopped="steps"),
     )
     cep(*EACH, "--json")

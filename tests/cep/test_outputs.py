@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cep.cli.console import BAD_INPUT, FAILURE, explain
-from cep.outputs import claim, new_file, new_folder, write_text
+from cep.io.outputs import claim, new_file, new_folder, write_text
 
 
 def test_existing_files_are_refused_unless_forced(tmp_path):

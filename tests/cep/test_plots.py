@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cep.code import ShutterCode
+from cep.optics.code import ShutterCode
 from cep.plots import (
     COLOURS,
     before_after,
@@ -172,7 +172,7 @@ def test_files_by_suffix(tmp_path):
 
 def test_pyplot_is_never_loaded():
     code = (
-        "import sys, numpy as np; from cep.plots import *; from cep.code import ShutterCode\n"
+        "import sys, numpy as np; from cep.plots import *; from cep.optics.code import ShutterCode\n"
         "from motdiff.trajectory import Trajectory\n"
         "t = Trajectory.straight(5.0); png_bytes(trajectory_figure(np.zeros((20, 20)), t))\n"
         "psf_figure({'a': t.psf(16)}); code_strips({'a': ShutterCode('11')}); mtf_figure(t, {'a': None}, grid=9)\n"

@@ -7,13 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.band import band_samples
-from cep.code import ShutterCode
-from cep.exposure import coded_otf
-from cep.mtf import measure, worst_of
-from cep.response import ShutterResponse
-from cep.search.feasibility import feasible
-from cep.search.limits import Limits, fixed_mask
+from cep.optics.band import band_samples
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_otf
+from cep.optics.mtf import measure, worst_of
+from cep.optics.response import ShutterResponse
+from cep.search.limits import Limits, feasible, fixed_mask
 from cep.search.problem import Scenario, SearchProblem
 from cep.search.scenarios import drifted
 from motdiff.trajectory import Trajectory

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep.baselines import published as module
-from cep.baselines.published import (
+from cep.codes import published as module
+from cep.codes.published import (
     CLAIMS,
     PUBLISHED,
     best_for,
@@ -17,9 +17,9 @@ from cep.baselines.published import (
     names,
     published,
 )
-from cep.certify.minimum import chip_minimum, min_chip
-from cep.code import ShutterCode
-from cep.mtf import chip_noise_db
+from cep.optics.code import ShutterCode
+from cep.optics.mtf import chip_noise_db
+from cep.proofs.certify.minimum import chip_minimum, min_chip
 
 # name, chips, open, min |P|, absolute noise gain in dB (None: a true zero makes it infinite)
 TABLE = [

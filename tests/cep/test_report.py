@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from cep.report import Picture, Report, Section, Table, html, write_report
+from cep.report.result_page import Picture, Report, Section, Table, html, write_report
 
 PNG = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="

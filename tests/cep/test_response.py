@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.code import ShutterCode
-from cep.exposure import chip_basis, chip_parts, chip_rows, coded_otf, coded_psf, open_path
-from cep.response import RAMP_STEPS, ShutterResponse
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import chip_basis, chip_parts, chip_rows, coded_otf, coded_psf, open_path
+from cep.optics.response import RAMP_STEPS, ShutterResponse
 from motdiff.trajectory import Trajectory
 
 FX, FY = np.random.default_rng(1).uniform(-0.5, 0.5, (2, 40))

@@ -3,10 +3,10 @@ import pytest
 from scipy import fft
 from skimage import data
 
-from cep.restore.borders import extended_shape, membrane_extension, reblurred_extension
-from cep.restore.noise import fit_spectrum
-from cep.restore.spectral import power_law
-from cep.restore.wiener import wiener
+from cep.restoration.borders import extended_shape, membrane_extension, reblurred_extension
+from cep.restoration.noise import fit_spectrum
+from cep.restoration.spectral import power_law
+from cep.restoration.wiener import wiener
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 

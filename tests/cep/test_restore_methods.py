@@ -5,10 +5,10 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from skimage import data
 
-from cep.camera import Camera, capture
-from cep.restore import inverse_filter, l0, misfit, restore, saturated, tv, tv_less_ringing, wiener
-from cep.restore.spectral import otf_on_grid, trimmed_psf
-from cep.restore.tv import divergence, shrink_gradients
+from cep.optics.camera import Camera, capture
+from cep.restoration import inverse_filter, l0, misfit, restore, saturated, tv, tv_less_ringing, wiener
+from cep.restoration.spectral import otf_on_grid, trimmed_psf
+from cep.restoration.tv import divergence, shrink_gradients
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from skimage import data
 
-from cep.camera import Camera, capture
-from cep.images import read_photo
-from cep.restore import METHODS, pnp, restore, wiener
+from cep.io.images import read_photo
+from cep.optics.camera import Camera, capture
+from cep.restoration import METHODS, pnp, restore, wiener
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.code import ShutterCode
-from cep.exposure import chip_basis, coded_otf
-from cep.playing import extended
-from cep.response import ShutterResponse
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import chip_basis, coded_otf
+from cep.optics.response import ShutterResponse
+from cep.optics.timeline import extended
 from cep.search.scenarios import (
     MOST_SCENARIOS,
     Scenario,
@@ -18,7 +18,7 @@ from cep.search.scenarios import (
     scenario_rows,
     speed_range,
 )  # fmt: skip
-from motdiff.files import StoredMotion
+from motdiff.io.trajectories import StoredMotion
 from motdiff.trajectory import Trajectory
 
 CODE = ShutterCode("1011000101")

@@ -5,7 +5,7 @@ import pytest
 import torch
 from threadpoolctl import threadpool_info
 
-from motdiff.estimators.blind import Found, estimate_blind, without_faint_parts
+from motdiff.estimators.multiscale import Found, estimate_blind, without_faint_parts
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
 from motdiff.tracing import is_tangled
@@ -237,7 +237,7 @@ def test_warnings_come_in_the_order_of_what_was_done(monkeypatch):
         asked.append((crops, own, shared))
         return "uneven"
 
-    monkeypatch.setattr("motdiff.estimators.blind.uneven_blur_warning", judged)
+    monkeypatch.setattr("motdiff.estimators.multiscale.uneven_blur_warning", judged)
     search = FakeSearch((LONG, 0.1), (line(), 0.6), singles=kernels, warnings=("the search says this",))
     estimate, _ = found_in(noise(700, 900), search)
     said, uneven, halved = estimate.warnings
@@ -306,7 +306,7 @@ def test_a_path_is_tangled_by_its_strands_where_it_was_searched(monkeypatch, sid
     wobbling = Trajectory.from_samples(np.c_[along, aside])
     assert not is_tangled(wobbling)
     assert is_tangled(wobbling.scaled(2))
-    monkeypatch.setattr("motdiff.estimators.blind.simplest_trajectory", lambda _psf: wobbling)
+    monkeypatch.setattr("motdiff.estimators.multiscale.simplest_trajectory", lambda _psf: wobbling)
     estimate, _ = found_in(noise(side, side), FakeSearch((LONG, 0.1), (line(15), 0.98)) if scale < 1 else None)
     assert estimate.details["scale"] == scale
     assert not any("tangled" in warning for warning in estimate.warnings)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.estimators.blinddps import BlindDpsEstimator, Prior, linear_alpha_bar, sample_jointly
+from motdiff.baselines.blinddps import BlindDpsEstimator, Prior, linear_alpha_bar, sample_jointly
 from motdiff.evaluation.measure import measure_estimator
 from motdiff.evaluation.methods import named_estimators
 from motdiff.evaluation.sets import Case
@@ -155,7 +155,7 @@ def test_finds_the_kernel_that_the_prior_does_not_know(weights):
 
 
 def test_colour_priors_and_learned_variances_are_taken(tmp_path, weights, monkeypatch):
-    monkeypatch.setattr("motdiff.estimators.blinddps.linear_alpha_bar", lambda: tuple(ALPHA_BAR[:50]))
+    monkeypatch.setattr("motdiff.baselines.blinddps.linear_alpha_bar", lambda: tuple(ALPHA_BAR[:50]))
     colour = np.stack([SHARP, 0.5 * SHARP, SHARP**2], axis=2)
     write_weights(tmp_path / "plain", colour)
     write_weights(tmp_path / "learned", colour, more_channels=1)
@@ -171,7 +171,7 @@ def test_without_weights_its_row_says_so():
     (method,) = named_estimators(["blinddps"]).values()
     case = Case("one", PHOTO, PSF)
     row = measure_estimator("some", case, "blinddps", method, restore=False).row
-    assert row.failure == "needs weights: a folder with image.pt2 and kernel.pt2, see motdiff.estimators.blinddps"
+    assert row.failure == "needs weights: a folder with image.pt2 and kernel.pt2, see motdiff.baselines.blinddps"
 
 
 def test_the_name_takes_a_folder(weights):

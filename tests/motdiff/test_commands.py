@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from motdiff import commands
-from motdiff.conditions import QuickStart, quick_kernels
+from motdiff.network.physics_maps import QuickStart, quick_kernels
 from motdiff.training import prepared as prepared_module
 from motdiff.training import samples as samples_module
 from motdiff.training.checkpoint import read_checkpoint

@@ -5,7 +5,8 @@ import pytest
 import torch
 from scipy import signal
 
-from motdiff.conditions import (
+from motdiff.metrics import mnc
+from motdiff.network.physics_maps import (
     QUICK_STARTS,
     QuickStart,
     autocorrelation,
@@ -13,7 +14,6 @@ from motdiff.conditions import (
     quick_kernels,
     spectral_maps,
 )
-from motdiff.metrics import mnc
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory

@@ -6,7 +6,7 @@ import warnings
 import pytest
 import torch
 
-from motdiff.diffusion import (
+from motdiff.network.diffusion import (
     Schedule,
     cosine_schedule,
     from_signal,

@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from motdiff.evaluation.floors import ceilings, delta, floors, gaussian, mean_kernel, path_kernel
 from motdiff.evaluation.sets import Case
-from motdiff.gyro_tables import read_gyro
+from motdiff.io.gyro_tables import read_gyro
 from motdiff.metrics import mnc, mnc_subpixel
 from motdiff.motions import boracchi_foi
 from motdiff.training.motion_bank import MotionMix, draw_motion

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motdiff.files import SCHEMA, StoredMotion, read_motion, write_motion
+from motdiff.io.outputs import write_text
+from motdiff.io.trajectories import SCHEMA, StoredMotion, read_motion, write_motion
 from motdiff.motions import boracchi_foi, quadratic
-from motdiff.outputs import write_text
 from motdiff.trajectory import Trajectory
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from motdiff.inputs import one_line, read_json, read_text, read_toml, regular_file
+from motdiff.io.inputs import one_line, read_json, read_text, read_toml, regular_file
 
 
 def test_regular_files_and_links_to_them_are_taken(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from motdiff.estimators.judge import (
+from motdiff.estimators.kernel_score import (
     Judge,
     Phase,
     Spectrum,

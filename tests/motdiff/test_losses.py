@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from motdiff.losses import denoising_loss, dwell_loss, structure_loss, weighted_bce, weighted_iou
+from motdiff.network.losses import denoising_loss, dwell_loss, structure_loss, weighted_bce, weighted_iou
 
 # p = sigmoid(log 3) = 3/4, sigmoid(-log 3) = 1/4, sigmoid(0) = 1/2
 SURE = math.log(3)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-import motdiff._mat_reader as script
-from motdiff import mat_files
-from motdiff.mat_files import read_mat
+import motdiff.io._mat_reader as script
+from motdiff.io import mat_files
+from motdiff.io.mat_files import read_mat
 
 HDF5 = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\x00\x02IM" + b"\x89HDF\r\n\x1a\n"
 

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.conditions import QUICK_STARTS, autocorrelation, spectral_maps
-from motdiff.estimators.blind import Found
-from motdiff.estimators.judge import noise_sigma
+from motdiff.estimators.kernel_score import noise_sigma
 from motdiff.estimators.motdiff import MotDiffEstimator, drawing
 from motdiff.estimators.motdiff import estimator as module
 from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
+from motdiff.estimators.multiscale import Found
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, Start
 from motdiff.evaluation.methods import NetworkAlone, named_estimators
-from motdiff.grids import mirrored
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network import NetworkConfig
-from motdiff.parallel import one_thread
-from motdiff.sampling import psfs_of_maps
+from motdiff.network.physics_maps import QUICK_STARTS, autocorrelation, spectral_maps
+from motdiff.network.sampling import psfs_of_maps
+from motdiff.network.symmetry import mirrored
 from motdiff.simulate import blur_valid
+from motdiff.threads import one_thread
 from motdiff.training.config import DataConfig, TrainingConfig
 from motdiff.training.loop import Trainer
 from motdiff.trajectory import Trajectory
@@ -151,7 +151,7 @@ def no_search(monkeypatch):
 @pytest.fixture
 def no_tracing(monkeypatch):
     """What a network that was never trained draws is no path, and long to trace."""
-    for place in ("motdiff.estimators.blind", "motdiff.tracing"):
+    for place in ("motdiff.estimators.multiscale", "motdiff.tracing"):
         monkeypatch.setattr(f"{place}.simplest_trajectory", lambda psf: STRAIGHT)
 
 
@@ -415,7 +415,7 @@ def test_the_mean_of_the_draws_and_the_likeliest_classical_kernel_are_always_ref
     )
     refined = []
     monkeypatch.setattr(module, "refined", lambda _crops, kernel, _sigma: refined.append(kernel) or kernel)
-    monkeypatch.setattr("motdiff.parallel.os.cpu_count", lambda: 1)  # one after the other
+    monkeypatch.setattr("motdiff.threads.os.cpu_count", lambda: 1)  # one after the other
     found = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=4).search(shaken[None])
     assert len(refined) == 3
     assert len(found.kernels) == 4 + 4 + 1 + 3

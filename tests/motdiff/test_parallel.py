@@ -11,8 +11,8 @@ import pytest
 import torch
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from motdiff import parallel
-from motdiff.parallel import one_thread, one_thread_a_call, side_by_side
+from motdiff import threads as parallel
+from motdiff.threads import one_thread, one_thread_a_call, side_by_side
 
 
 @pytest.fixture(autouse=True)
@@ -103,7 +103,7 @@ def test_one_thread_holds_for_jobs_within_jobs(monkeypatch):
 
 
 def test_whoever_only_imports_it_waits_for_no_torch():
-    code = "import sys, motdiff.parallel, cep.calibrate_folder; assert 'torch' not in sys.modules"
+    code = "import sys, motdiff.threads, cep.workflows.calibrate_folder; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
 
 

@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize
 
-from motdiff.estimators.parametric import ParametricEstimator
+from motdiff.baselines.parametric import ParametricEstimator
 from motdiff.evaluation.floors import delta
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi
 from motdiff.network import NetworkConfig, PathNetwork, build_network
 from motdiff.network.path import PathHead
-from motdiff.quadratic import QuadraticPath, most_alike_quadratic, nearest_quadratic
 from motdiff.simulate import blur_valid
+from motdiff.tracing.quadratic import QuadraticPath, most_alike_quadratic, nearest_quadratic
 from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch
 from motdiff.training.loop import Trainer

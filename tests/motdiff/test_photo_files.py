@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from motdiff.decoding import decode
-from motdiff.photo_files import MOST_PX, check_px, photo_bytes
+from motdiff.io.decoding import decode
+from motdiff.io.photo_files import MOST_PX, check_px, photo_bytes
 
 
 def encoded(suffix, image, *options):
@@ -71,7 +71,7 @@ def test_the_size_in_the_header_is_the_one_that_is_decoded(tmp_path, monkeypatch
     path = tmp_path / "photo"
     path.write_bytes(GOOD[kind])
     seen = []
-    monkeypatch.setattr("motdiff.photo_files.check_px", lambda *given: seen.append(given))
+    monkeypatch.setattr("motdiff.io.photo_files.check_px", lambda *given: seen.append(given))
     image, damage = decode(photo_bytes(path), path)
     height, width = image.shape[:2]
     assert (width, height) == (63, 25)

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy import ndimage, optimize, signal
 
-from motdiff.estimators.judge import Phase, Spectrum, noise_sigma
+from motdiff.estimators.kernel_score import Phase, Spectrum, noise_sigma
 from motdiff.estimators.pmp import grids, kernel, latent
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.diffusion import cosine_schedule
-from motdiff.estimators.psf_diffusion import PsfDiffusionEstimator
+from motdiff.baselines.psf_diffusion import PsfDiffusionEstimator
 from motdiff.evaluation.floors import delta
 from motdiff.evaluation.methods import named_estimators
 from motdiff.metrics import mnc_subpixel
 from motdiff.network import NetworkConfig, build_network
-from motdiff.sampling import psf_signals, psfs_of_maps, psfs_of_signals, sample_paths
+from motdiff.network.diffusion import cosine_schedule
+from motdiff.network.sampling import psf_signals, psfs_of_maps, psfs_of_signals, sample_paths
 from motdiff.simulate import blur_valid
 from motdiff.training.config import DataConfig, LossConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch
@@ -133,7 +133,7 @@ def test_the_map_s_weights_are_no_psf_s():
 
 def test_the_number_of_steps_is_part_of_the_name(monkeypatch):
     made = []
-    monkeypatch.setattr("motdiff.estimators.psf_diffusion.PsfDiffusionEstimator", lambda **given: made.append(given))
+    monkeypatch.setattr("motdiff.baselines.psf_diffusion.PsfDiffusionEstimator", lambda **given: made.append(given))
     assert list(named_estimators(["psf-diffusion", "psf-diffusion:3"])) == ["psf-diffusion", "psf-diffusion:3"]
     assert made == [{}, {"steps": 3}]
     with pytest.raises(

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage, optimize, signal
 
+from motdiff.estimators.psf_fit import PatchPair, explained_share, fit_psf, residual_variance
 from motdiff.motions import boracchi_foi
-from motdiff.psf_fit import PatchPair, explained_share, fit_psf, residual_variance
 
 SIZE = 7
 

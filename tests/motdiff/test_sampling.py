@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.diffusion import cosine_schedule
 from motdiff.metrics import mnc_subpixel
 from motdiff.network import MotDiffNetwork, NetworkConfig
-from motdiff.sampling import PathSamples, psfs_of_maps, sample_paths
+from motdiff.network.diffusion import cosine_schedule
+from motdiff.network.sampling import PathSamples, psfs_of_maps, sample_paths
 from motdiff.trajectory import Trajectory
 
 

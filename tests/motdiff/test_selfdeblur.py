@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.estimators.selfdeblur import SelfDeblurConfig, SelfDeblurEstimator
-from motdiff.estimators.selfdeblur import estimator as estimator_module
-from motdiff.estimators.selfdeblur.fit import JointFit
+from motdiff.baselines.selfdeblur import SelfDeblurConfig, SelfDeblurEstimator
+from motdiff.baselines.selfdeblur import estimator as estimator_module
+from motdiff.baselines.selfdeblur.fit import JointFit
 from motdiff.evaluation.measure import measure_estimator
 from motdiff.evaluation.methods import METHODS, SLOW_METHODS, named_estimators
 from motdiff.evaluation.sets import Case
@@ -245,7 +245,7 @@ def test_a_large_photo_is_fitted_in_its_best_crop(monkeypatch):
             sizes.append(tuple(photo.shape))
             super().__init__(photo[:32, :32], config)
 
-    monkeypatch.setattr("motdiff.estimators.selfdeblur.estimator.JointFit", Seen)
+    monkeypatch.setattr("motdiff.baselines.selfdeblur.estimator.JointFit", Seen)
     estimator = SelfDeblurEstimator(config=replace(QUICK, iterations=1))
     light = np.random.default_rng(0).random((330, 300))
     for photo in (light, light[:320], np.repeat(light[:, :100, None], 3, axis=2)):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from motdiff.tracing import is_tangled
-from motdiff.tracing.order import crossings
+from motdiff.tracing.path import crossings
 from motdiff.trajectory import Trajectory
 
 T = np.linspace(0, 1, 400)

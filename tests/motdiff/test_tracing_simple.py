@@ -4,8 +4,8 @@ from scipy import ndimage
 
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
 from motdiff.motions import boracchi_foi, quadratic, random_straight
-from motdiff.quadratic import quadratic_of_psf
 from motdiff.tracing import simplest_trajectory, trace_psf_to_trajectory
+from motdiff.tracing.quadratic import quadratic_of_psf
 from motdiff.trajectory import Trajectory
 
 

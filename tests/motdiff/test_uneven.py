@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from motdiff.estimators.uneven import uneven_blur_warning
+from motdiff.estimators.kernel_score import uneven_blur_warning
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 

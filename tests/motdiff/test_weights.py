@@ -11,7 +11,7 @@ from safetensors.torch import load_file, save_file
 
 from motdiff import weights as module
 from motdiff.network import NetworkConfig, build_network
-from motdiff.sampling import sample_paths
+from motdiff.network.sampling import sample_paths
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig, read_config
 from motdiff.training.data import Batch

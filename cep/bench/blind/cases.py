@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.blind.protocol import Protocol
-from cep.bench.pairs import koehler_pairs, rsblur_pairs
-from cep.bench.photos import crop, layout_of, pick
-from cep.images import read_image
+from cep.bench.datasets import crop, koehler_pairs, layout_of, pick, rsblur_pairs
+from cep.io.images import read_image
 from motdiff.evaluation.sets import Case, levin_photo
 from motdiff.simulate import border_px, photograph, visible
 from motdiff.trajectory import Trajectory

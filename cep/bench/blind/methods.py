@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from cep.bench.blind.work import CEILINGS, FLOORS
-from cep.bench.sources import source_version
+from cep.jobs.fingerprint import source_version
 from motdiff.evaluation.methods import named_estimators
 from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS, PSF_WEIGHTS
 
@@ -31,16 +31,19 @@ _WEIGHTS = {
 _FOLLOWED = {
     "motdiff-quick": "motdiff.estimators.motdiff",
     "network": "motdiff.estimators.motdiff",
-    "psf-diffusion": "motdiff.estimators.psf_diffusion",
+    "parametric": "motdiff.baselines.parametric",
+    "psf-diffusion": "motdiff.baselines.psf_diffusion",
+    "selfdeblur": "motdiff.baselines.selfdeblur",
+    "blinddps": "motdiff.baselines.blinddps",
 }
 
 _TAKING = (
     "cep.bench.blind.work",
     "cep.bench.blind.cases",
-    "cep.bench.blind.usage",
-    "cep.bench.photos",  # the crop
-    "cep.images",  # decoding and gamma
-    "motdiff.parallel",  # the one thread
+    "cep.bench.blind.work",
+    "cep.bench.datasets",  # the crop
+    "cep.io.images",  # decoding and gamma
+    "motdiff.threads",  # the one thread
 )
 """Modules that take and measure a photo; what else they import has no part in it, or is followed."""
 

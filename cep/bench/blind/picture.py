@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from cep.bench.blind.cases import RealPhoto, real_pair, taken
 from cep.bench.blind.work import measure_levin, measure_simulated, psf_from_text
-from cep.bench.cells import Cell, Result
+from cep.jobs.cells import Cell, Result
 from cep.plots.canvas import new_figure, show_inset, show_photo
 from motdiff.crops import luminance
 from motdiff.evaluation.measure import restored
 from motdiff.evaluation.sets import levin_photo
 from motdiff.metrics import laid_on
-from motdiff.parallel import one_thread
 from motdiff.psf_frame import in_frame
 from motdiff.simulate import to_linear
+from motdiff.threads import one_thread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

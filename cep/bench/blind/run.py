@@ -8,12 +8,10 @@ from pathlib import Path
 
 from cep.bench.blind.cases import RealPhoto, check_real, real_photos, shot_of
 from cep.bench.blind.methods import budget_warning, label_of, version_of
-from cep.bench.blind.protocol import Protocol
-from cep.bench.blind.shakes import drawn_shakes
+from cep.bench.blind.protocol import Protocol, drawn_shakes
 from cep.bench.blind.work import CEILINGS, FLOORS, measure_levin, measure_real, measure_simulated
-from cep.bench.cells import Cell
-from cep.bench.photos import BUNDLED_WARNING, Layout, bundled_photos, layout_of, photo_folder, pick
-from cep.bench.scenes import labels_of
+from cep.bench.datasets import BUNDLED_WARNING, Layout, bundled_photos, labels_of, layout_of, photo_folder, pick
+from cep.jobs.cells import Cell
 from motdiff.evaluation.floors import mean_psf
 from motdiff.gyro import GyroTrace
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import base64
 import binascii
+import ctypes
+import gc
 import math
+import time
 import zlib
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -15,19 +18,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.blind.cases import RealPhoto, Shot, real_pair, taken
-from cep.bench.blind.usage import Watched
-from cep.bench.cells import Figure
+from cep.jobs.cells import Figure
 from motdiff.crops import luminance
-from motdiff.estimators.base import Estimator
+from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.evaluation.floors import floors, path_kernel, quadratic_kernel
 from motdiff.evaluation.measure import FIGURES, Measured, measure_estimator, measure_psf, restored
 from motdiff.evaluation.methods import named_estimators
 from motdiff.evaluation.sets import Case, levin_photo
 from motdiff.metrics import psnr_ssim_up_to_shift
-from motdiff.parallel import one_thread
+from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
 
-__all__ = ["CEILINGS", "FLOORS", "measure_levin", "measure_real", "measure_simulated", "psf_from_text", "psf_to_text"]
+__all__ = [
+    "CEILINGS",
+    "FLOORS",
+    "Watched",
+    "measure_levin",
+    "measure_real",
+    "measure_simulated",
+    "psf_from_text",
+    "psf_to_text",
+]
+
 
 FloatArray = NDArray[np.float64]
 
@@ -177,3 +189,60 @@ def _figures(measured: Measured) -> dict[str, Figure]:
 
 def _numbers(pairs: Iterable[tuple[str, float]]) -> dict[str, Figure]:
     return {name: None if math.isnan(value) else value for name, value in pairs}
+
+
+_CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
+
+
+@dataclass
+class Watched:
+    """An estimator with a look at what its last estimate cost.
+
+    Attributes
+    ----------
+    estimator : Estimator
+    wall_s : float or None, seconds
+    memory_mib : float or None, MiB
+        Most that the process has held at once, above what it held before; Linux only.
+    """
+
+    estimator: Estimator
+    wall_s: float | None = None
+    memory_mib: float | None = None
+
+    def estimate(self, photo: NDArray[np.float64]) -> MotionEstimate:
+        """Estimate as the estimator does."""
+        _give_back()
+        before = _status_mib("VmRSS") if _forget_peak() else None
+        began_s = time.perf_counter()
+        found = self.estimator.estimate(photo)
+        self.wall_s = time.perf_counter() - began_s
+        peak = _status_mib("VmHWM")
+        self.memory_mib = None if before is None or peak is None else max(peak - before, 0.0)
+        return found
+
+
+def _give_back() -> None:
+    """Return freed memory to the system, as glibc can: kept for later, it would hide what the next estimate needs."""
+    gc.collect()
+    try:
+        ctypes.CDLL(None).malloc_trim(0)
+    except (AttributeError, OSError, TypeError):
+        return  # another C library
+
+
+def _forget_peak() -> bool:
+    try:
+        _CLEAR.write_text("5", encoding="ascii")
+    except OSError:
+        return False
+    return True
+
+
+def _status_mib(name: str) -> float | None:
+    try:
+        lines = _STATUS.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return None
+    sizes = (line.split()[1] for line in lines if line.startswith(f"{name}:"))
+    return next((int(size) / 1024 for size in sizes), None)

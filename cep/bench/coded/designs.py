@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cep.baselines.dnf import dnf_problem
-from cep.baselines.light import best_snapshot, best_strobe, random_codes
-from cep.baselines.published import for_chips, published
-from cep.camera import Camera
-from cep.code import ShutterCode
+from cep.codes.published import for_chips, published
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import anneal
+from cep.search.dnf import dnf_problem
+from cep.search.light import best_snapshot, best_strobe, random_codes
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario
@@ -101,7 +101,7 @@ def designed(
     if design == "open":
         return ShutterCode("1" * chips)
     if design == "dce":
-        from cep.baselines.dce import dce_code
+        from cep.codes.dce import dce_code
 
         return dce_code()
     if design == "dnf":

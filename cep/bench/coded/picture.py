@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.coded.designs import DESIGNS
-from cep.bench.coded.paths import paths_from
-from cep.bench.coded.work import pictures_of
-from cep.code import ShutterCode
+from cep.bench.coded.protocol import paths_from
+from cep.bench.coded.stages import pictures_of
+from cep.optics.code import ShutterCode
 from cep.plots.canvas import new_figure, show_inset, show_photo
 from cep.plots.codes import mtf_curve
 from motdiff.psf_frame import PSF_PX
@@ -34,7 +34,7 @@ def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str,
 
     Parameters
     ----------
-    pictured : mapping from design to the arguments of :func:`cep.bench.coded.work.pictures_of`, at least one
+    pictured : mapping from design to the arguments of :func:`cep.bench.coded.stages.pictures_of`, at least one
     scores : mapping from design to what is written below its restored photo
     linear : bool
         Whether the photo is light, or code values that are shown as they are.

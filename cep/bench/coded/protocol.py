@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
-from cep.camera import Camera
-from cep.restore.methods import METHODS as RESTORATIONS
-from cep.search.problem import OBJECTIVES
-from motdiff.inputs import one_line, read_toml
+import numpy as np
 
-__all__ = ["PROTOCOLS", "CodedProtocol", "coded_protocol"]
+from cep.optics.camera import Camera
+from cep.restoration.methods import METHODS as RESTORATIONS
+from cep.search.problem import OBJECTIVES
+from motdiff.io.inputs import one_line, read_toml
+from motdiff.motions import boracchi_foi, quadratic, random_straight
+from motdiff.psf_frame import PSF_PX
+from motdiff.trajectory import Trajectory
+
+__all__ = ["PROTOCOLS", "CodedProtocol", "coded_protocol", "drawn_motions", "paths_from", "paths_to"]
+
 
 PROTOCOLS = ("paper", "ours")
 """Built in."""
@@ -185,3 +193,43 @@ def coded_protocol(name: str) -> CodedProtocol:
 def _are(values: object, *kinds: type) -> bool:
     """Tell whether these are numbers of those types; TOML's true is none."""
     return isinstance(values, list | tuple) and all(type(value) in kinds for value in values)
+
+
+def paths_to(paths: Sequence[Trajectory], weights: Sequence[float]) -> str:
+    """Write weighted paths as one line of text, for a table's cell."""
+    rows = [
+        {"t": path.t.tolist(), "xy": path.xy.tolist(), "direction": path.direction, "weight": float(weight)}
+        for path, weight in zip(paths, weights, strict=True)
+    ]
+    return json.dumps(rows)
+
+
+def paths_from(text: str) -> tuple[tuple[Trajectory, ...], tuple[float, ...]]:
+    """Read what :func:`paths_to` has written: paths and weights."""
+    rows = json.loads(text)
+    paths = tuple(Trajectory(np.array(row["t"]), np.array(row["xy"]), row["direction"]) for row in rows)
+    return paths, tuple(float(row["weight"]) for row in rows)
+
+
+_MIXED_LENGTHS_PX = (20.0, 60.0)
+
+
+def drawn_motions(protocol: CodedProtocol) -> tuple[Trajectory, ...]:
+    """Draw the protocol's motions; their direction counts as unknown to all but the oracle."""
+    rng = np.random.default_rng([protocol.seed, 0])
+    if protocol.shakes == "boracchi-foi":
+        return tuple(boracchi_foi(rng) for _ in range(protocol.motions))
+    low, high = _MIXED_LENGTHS_PX
+    draw: tuple[Callable[[], Trajectory], ...] = (
+        lambda: boracchi_foi(rng, max_length_px=float(rng.uniform(low, high))),
+        lambda: quadratic(rng, min_length_px=low, max_length_px=high),
+        lambda: random_straight(rng, min_length_px=low, max_length_px=high),
+    )
+    return tuple(_fitting(draw[index % len(draw)]) for index in range(protocol.motions))
+
+
+def _fitting(draw: Callable[[], Trajectory]) -> Trajectory:
+    # a motion that speeds up lies off-centre: the longest of them leave the frame
+    while (path := draw()).frame_size() > PSF_PX:
+        pass
+    return path

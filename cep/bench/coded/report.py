@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 
 from cep.bench.coded.picture import coded_figure
 from cep.bench.coded.protocol import CodedProtocol
-from cep.bench.coded.run import CodedTable
+from cep.bench.coded.run import ESTIMATORS, CodedTable
 from cep.bench.coded.tables import harmed, shots_csv
-from cep.bench.coded.told import ESTIMATORS
-from cep.bench.figures import FIGURE_SUFFIXES, write_figure
-from cep.bench.layout import means_in_words, tables_csv, tables_json, tables_markdown
+from cep.bench.table_io import FIGURE_SUFFIXES, means_in_words, tables_csv, tables_json, tables_markdown, write_figure
 from cep.bench.tables import Table
-from cep.outputs import new_folder
+from cep.io.outputs import new_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

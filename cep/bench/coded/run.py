@@ -3,26 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from cep.bench.cells import Cell, Figure
-from cep.bench.coded.chosen import choose_code
-from cep.bench.coded.designs import DESIGNS
-from cep.bench.coded.motions import drawn_motions
-from cep.bench.coded.paths import paths_to
-from cep.bench.coded.protocol import CodedProtocol
-from cep.bench.coded.told import ESTIMATORS, Estimates, assumed_path, kinds_needed, told
-from cep.bench.coded.versions import code_version, motion_version, photo_version
-from cep.bench.coded.work import motion_of, photo_of
-from cep.bench.engine import Outcome, run_cells
-from cep.bench.scenes import Cut
+from cep.bench.coded.designs import DESIGNS, Known
+from cep.bench.coded.protocol import CodedProtocol, drawn_motions, paths_from, paths_to
+from cep.bench.coded.stages import choose_code, motion_of, photo_of
+from cep.bench.datasets import Cut
+from cep.codes.dce.shipped import SHIPPED
+from cep.jobs.cells import Cell, Figure
+from cep.jobs.engine import Outcome, run_cells
+from cep.jobs.fingerprint import source_version
 from motdiff.simulate import border_px
+from motdiff.tracing.quadratic import nearest_quadratic
+from motdiff.trajectory import Trajectory
+from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS
 
-__all__ = ["CodedTable", "Shot", "measure_coded", "scene_px"]
+__all__ = [
+    "ESTIMATORS",
+    "CodedTable",
+    "Estimates",
+    "Shot",
+    "assumed_path",
+    "code_version",
+    "kinds_needed",
+    "measure_coded",
+    "motion_version",
+    "photo_version",
+    "scene_px",
+    "told",
+]
+
 
 Say = Callable[[float, str], None]
 
@@ -39,10 +53,10 @@ class Shot:
     motion : int
     photons : float or None
     figures : mapping
-        Of :func:`cep.bench.coded.taken.take_photo`.
+        Of :func:`cep.bench.coded.stages.take_photo`.
     bits : str
     arguments : mapping
-        That :func:`cep.bench.coded.work.photo_of` was called with.
+        That :func:`cep.bench.coded.stages.photo_of` was called with.
     """
 
     design: str
@@ -64,7 +78,7 @@ class CodedTable:
     shots : tuple of Shot
         In order of design, light, photo and motion; without the failed ones.
     estimates : mapping from (kind, photo, motion) to figures
-        Of :func:`cep.bench.coded.calibrated.estimate_motion`.
+        Of :func:`cep.bench.coded.stages.estimate_motion`.
     failures : mapping from a cell's label to its reason
     missing : int
         Cells not reached, after Ctrl-C.
@@ -101,7 +115,7 @@ def measure_coded(
     cache : folder of finished cells
     designs : sequence of names of :data:`cep.bench.coded.designs.DESIGNS`
     workers, dask
-        As :func:`cep.bench.engine.run_cells` takes them.
+        As :func:`cep.jobs.engine.run_cells` takes them.
     progress : callable
 
     Raises
@@ -109,7 +123,7 @@ def measure_coded(
     ValueError
         If a design is unknown or comes twice.
     OSError, RuntimeError
-        As :func:`cep.bench.engine.run_cells`.
+        As :func:`cep.jobs.engine.run_cells`.
     """
     unknown = [name for name in designs if name not in DESIGNS]
     if unknown:
@@ -249,3 +263,100 @@ def _designed_for(design: str, objective: str, level: float | None) -> float | N
 def _seed(protocol: CodedProtocol, photo: str, index: int) -> int:
     # By the photo's name, not its number: others that are added change nothing, unless two have one name.
     return int(np.random.SeedSequence([protocol.seed, index, *photo.encode()]).generate_state(1)[0])
+
+
+ESTIMATORS = {"ours": "motdiff-quick", "parametric": "parametric"}
+"""Estimator behind each kind of estimated path."""
+
+Estimates = Mapping[tuple[str, str, int], Mapping[str, Figure]]
+"""Figures of each estimate by kind, photo and motion; empty where it failed."""
+
+
+def kinds_needed(protocol: CodedProtocol, designs: Sequence[str]) -> list[str]:
+    """List the kinds of :data:`ESTIMATORS` that designs or their restoration go by."""
+    wanted = {DESIGNS[name].path for name in designs}
+    if protocol.restored_by == "estimate":
+        wanted |= {_restored_by(name) for name in designs}
+    return [kind for kind in ESTIMATORS if kind in wanted]
+
+
+def told(design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int) -> Known | None:
+    """Return what a design knows of a motion; None where its estimate failed."""
+    path = DESIGNS[design].path
+    if path == "none":
+        return Known()
+    if path == "length":
+        return Known(length_px=truth.length_px)
+    if path == "true":
+        return Known((truth,), (1.0,))
+    if path == "parametric oracle":
+        return Known((nearest_quadratic(truth).trajectory(),), (1.0,))
+    figures = estimates[path, photo, index]
+    return Known(*paths_from(str(figures["paths"]))) if figures else None
+
+
+def assumed_path(
+    protocol: CodedProtocol, design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int
+) -> str | None:
+    """Return the path that a restoration goes by; None when it knows the PSF, empty when the estimate failed."""
+    if protocol.restored_by == "psf" or DESIGNS[design].path == "true":
+        return None
+    if protocol.restored_by == "path":
+        if DESIGNS[design].knows_truth:
+            return None  # its code is made for one direction
+        return paths_to([replace(truth, direction="unknown")], [1.0])
+    path = _restored_by(design)
+    if path == "parametric oracle":
+        return paths_to([nearest_quadratic(truth).trajectory()], [1.0])
+    figures = estimates[path, photo, index]
+    return str(figures["paths"]) if figures else ""
+
+
+def _restored_by(design: str) -> str:
+    # who knows nothing, or the length only, of the motion needs an estimate to restore by: the best there is
+    path = DESIGNS[design].path
+    return "ours" if path in ("none", "length") else path
+
+
+_DENOISER = Path(__file__).parents[2] / "restore" / "denoiser" / "denoiser.safetensors"
+_HERE = "cep.bench.coded"
+_PATHS = f"{_HERE}.protocol"
+_EXPOSED = (_PATHS, f"{_HERE}.stages", "cep.bench.datasets", "cep.io.images", "motdiff.crops")
+"""From the file to the photo."""
+_ESTIMATED: dict[str, tuple[str, Path]] = {
+    "motdiff-quick": ("motdiff.estimators.motdiff", DEFAULT_WEIGHTS),
+    "parametric": ("motdiff.baselines.parametric", PATH_WEIGHTS),
+}
+_LIGHT = "cep.search.light"
+_PUBLISHED = "cep.codes.published"
+_SEARCHED = ("cep.search.annealing.anneal", _LIGHT, _PUBLISHED)  # searches start from both
+_CHOSEN = {
+    "open": ("cep.optics.code",),
+    "snapshot": (_LIGHT,),
+    "strobe": (_LIGHT,),
+    "random": (_LIGHT,),
+    "raskar-52": (_PUBLISHED,),
+    "dnf": ("cep.search.dnf", *_SEARCHED),
+    "dce": ("cep.codes.dce.shipped",),
+}
+
+
+def motion_version(method: str) -> str:
+    """Fingerprint of what estimates a motion: an estimator of :data:`cep.bench.coded.run.ESTIMATORS`."""
+    module, weights = _ESTIMATED[method]
+    used = [module, "motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
+    return source_version(used, alone=[*_EXPOSED, "motdiff.evaluation.methods"], files=[weights])
+
+
+def code_version(design: str) -> str:
+    """Fingerprint of what chooses a code: a design of :data:`cep.bench.coded.designs.DESIGNS`."""
+    files = [SHIPPED] if design == "dce" else []
+    return source_version(
+        _CHOSEN.get(design, _SEARCHED), alone=[_PATHS, f"{_HERE}.designs", f"{_HERE}.stages"], files=files
+    )
+
+
+def photo_version() -> str:
+    """Fingerprint of what takes, restores and compares a photo."""
+    used = ["cep.restoration", "cep.optics.mtf", "motdiff.metrics", "motdiff.simulate"]
+    return source_version(used, alone=_EXPOSED, files=[_DENOISER])

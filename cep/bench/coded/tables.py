@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cep.bench.cells import Figure
 from cep.bench.coded.designs import DESIGNS
 from cep.bench.coded.run import CodedTable, Shot
 from cep.bench.tables import Column, Table, differences, tabulate
+from cep.jobs.cells import Figure
 
 __all__ = ["beyond_comparison", "coded_tables", "harmed", "shots_csv"]
 

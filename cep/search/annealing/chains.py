@@ -1,4 +1,12 @@
-"""Chains of the search side by side: each cools once, or walks again and again, on its own thread."""
+"""Chains of the search side by side: each cools once, or walks again and again, on its own thread.
+
+Where a move is judged only as far as it can still beat the best one seen in the step, most are refused early.
+
+References
+----------
+Gallardo, Cotta and Fernandez, "Finding low autocorrelation binary sequences with memetic algorithms", Applied Soft
+Computing 2009: tabu search with short random tenures and restarts on a problem of the same kind.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +15,30 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from threading import Event
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.search.annealing.cooling import cool
-from cep.search.annealing.states import found_by, new_chain, own_tables, refresh
-from cep.search.annealing.tables import limits_of, work_space
-from cep.search.annealing.terms import Tables
-from cep.search.annealing.walking import walk
+from cep.compiled import compiled
+from cep.search.annealing.proposals import draw_any, draw_blocks, keeps_runs, uniform
+from cep.search.annealing.states import found_by, new_chain, own_tables, refresh, smallest_power
+from cep.search.annealing.terms import (
+    STEEP,
+    Tables,
+    add_rows,
+    alone,
+    decibels,
+    judge,
+    limits_of,
+    sum_of_cost,
+    turn,
+    work_space,
+)
 from cep.search.problem import SearchProblem
 
-__all__ = ["Cooling", "Crew", "Walks"]
+__all__ = ["Cooling", "Crew", "Walks", "cool", "walk"]
+
 
 Codes = NDArray[np.int8]
 _COOL_SLICE, _WALK_SLICE = 4096, 16  # moves and steps until the OTF is summed anew and its frequencies sorted
@@ -177,3 +197,191 @@ class Crew:
         code[rng.choice(opened, swaps, replace=False)] = 0
         code[rng.choice(closed, swaps, replace=False)] = 1
         return code
+
+
+_TENURE, _SPREAD = 4, 12  # steps that a moved chip stays where it is: at least, and drawn on top
+
+
+@compiled
+def walk(
+    tables: Any,
+    limits: Any,
+    chain: Any,
+    free: NDArray[np.int64],
+    work: Any,
+    held: NDArray[np.int64],
+    first: int,
+    steps: int,
+) -> int:
+    """Take ``steps`` steps; returns the number of moves judged.
+
+    Parameters
+    ----------
+    tables : Tables
+    limits : Limits
+    chain : Chain
+    free : (M,) int64
+        Chips that may change.
+    work : (3, 64) float32 or None
+        Work space; None where every move is usual (:func:`cep.search.annealing.terms.work_space`), which is faster.
+    held : (chips,) int64
+        Step until which each chip stays; changed in place.
+    first : int
+        Number of the first step.
+    steps : int
+    """
+    code, otf, random, costs = chain.code, chain.otf, chain.random, chain.cost
+    rows, layout, kinds = tables.rows, tables.layout, tables.kinds
+    scale, offset, light = tables.scale, tables.offset, tables.light
+    sums = np.empty((kinds.size, layout.shape[0], 2))
+    changed, picked, best = np.empty(2, np.int64), np.zeros((2, 3), np.int64), np.zeros(2, np.int64)
+    variants = rows.shape[1]
+    early, steep = alone(tables), kinds[0] == STEEP
+    opened, judged = int(code.sum()), 0
+    for step in range(first, first + steps):
+        record = sum_of_cost(tables, costs[1]) if early else np.inf
+        lowest, ceiling, taken = np.inf, np.inf, 0
+        for a in range(len(free)):
+            # b = a is a flip, any other b a swap of two unlike chips
+            for b in range(a, len(free)):
+                i, j = free[a], free[b]
+                if a == b:
+                    if not limits.low <= opened + 1 - 2 * code[i] <= limits.high:
+                        continue
+                elif code[i] == code[j]:
+                    continue
+                # a move that is held counts if it leads where the walk has never been
+                worth, most = lowest, ceiling
+                if (held[i] > step or held[j] > step) and costs[1] < lowest:
+                    worth, most = costs[1], record
+                changed[0], changed[1] = i, j
+                count = 1 if a == b else 2
+                more = turn(code, changed, count, limits.chips, variants, picked)
+                cost = np.inf
+                if not limits.constrained or keeps_runs(code, limits):
+                    judged += 1
+                    if judge(
+                        rows,
+                        layout,
+                        kinds,
+                        scale,
+                        offset,
+                        light,
+                        otf,
+                        picked,
+                        count,
+                        limits.chips,
+                        opened + more,
+                        most,
+                        work,
+                        sums,
+                    ):
+                        cost = decibels(tables, sums, opened + more)
+                for c in range(count):
+                    code[changed[c]] = 1 - code[changed[c]]
+                if cost < worth:
+                    lowest, taken, best[0], best[1] = cost, count, i, j
+                    if early:
+                        ceiling = sum_of_cost(tables, lowest)
+        if taken == 0:
+            break
+        opened += turn(code, best, taken, limits.chips, variants, picked)
+        add_rows(rows, otf, picked, taken, limits.chips)
+        for c in range(taken):
+            held[best[c]] = step + _TENURE + int(uniform(random) * _SPREAD)
+        costs[0] = lowest
+        if lowest < costs[1]:
+            costs[1] = lowest
+            chain.best[:] = code
+        if steep:
+            deep = smallest_power(tables, otf)
+            if deep > costs[2]:
+                costs[2] = deep
+                chain.deepest[:] = code
+    return judged
+
+
+@compiled
+def cool(
+    tables: Any,
+    limits: Any,
+    chain: Any,
+    free: NDArray[np.int64],
+    work: Any,
+    temperatures: NDArray[np.float64],
+    moves: int,
+) -> int:
+    """Make ``moves`` moves of one chain, cooling geometrically; returns how many were accepted.
+
+    Parameters
+    ----------
+    tables : Tables
+    limits : Limits
+    chain : Chain
+    free : (M,) int64
+        Chips that may change.
+    work : (3, 64) float32 or None
+        Work space; None where every move is usual (:func:`cep.search.annealing.terms.work_space`), which is faster.
+    temperatures : (2,) float64, dB
+        At the first move, and after the last.
+    moves : int
+    """
+    code, otf, random, costs = chain.code, chain.otf, chain.random, chain.cost
+    rows, layout, kinds = tables.rows, tables.layout, tables.kinds
+    scale, offset, light = tables.scale, tables.offset, tables.light
+    sums = np.empty((kinds.size, layout.shape[0], 2))
+    changed, trial = np.empty(len(code), np.int64), np.empty_like(code)
+    picked = np.zeros((max(2, len(code)), 3), np.int64)
+    variants = rows.shape[1]
+    may_change = np.zeros(len(code), np.bool_)
+    may_change[free] = True
+    early, steep = alone(tables), kinds[0] == STEEP
+    cooling = (temperatures[1] / temperatures[0]) ** (1.0 / moves)
+    temperature, opened, accepted = temperatures[0], int(code.sum()), 0
+    for _ in range(moves):
+        temperature *= cooling
+        if limits.constrained:
+            count = draw_blocks(code, may_change, limits, opened, random, trial, changed)
+        else:
+            count = draw_any(code, free, limits, opened, random, changed)
+        if count == 0:
+            continue
+        more = turn(code, changed, count, limits.chips, variants, picked)
+        highest = costs[0] - temperature * np.log(1.0 - uniform(random))
+        ceiling = sum_of_cost(tables, highest) if early else np.inf
+        cost = np.inf
+        if judge(
+            rows,
+            layout,
+            kinds,
+            scale,
+            offset,
+            light,
+            otf,
+            picked,
+            count,
+            limits.chips,
+            opened + more,
+            ceiling,
+            work,
+            sums,
+        ):
+            cost = decibels(tables, sums, opened + more)
+        if not cost <= highest:
+            for c in range(count):
+                code[changed[c]] = 1 - code[changed[c]]
+            continue
+        accepted += 1
+        opened += more
+        costs[0] = cost
+        add_rows(rows, otf, picked, count, limits.chips)
+        if cost < costs[1]:
+            costs[1] = cost
+            chain.best[:] = code
+        if steep:
+            # the sum leads, the plain minimum is what counts
+            lowest = smallest_power(tables, otf)
+            if lowest > costs[2]:
+                costs[2] = lowest
+                chain.deepest[:] = code
+    return accepted

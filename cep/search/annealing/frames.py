@@ -18,15 +18,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.code import ShutterCode
-from cep.search.annealing.anneal import COOLING, MOVES_SHARE, REHEATED, hottest_db
-from cep.search.annealing.budget import CHAINS, Budget, Stopped
-from cep.search.annealing.cooling import cool
+from cep.optics.code import ShutterCode
+from cep.search.annealing.anneal import CHAINS, COOLING, MOVES_SHARE, REHEATED, Budget, Stopped, hottest_db
+from cep.search.annealing.chains import cool
 from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables, polish_jointly
 from cep.search.annealing.proposals import Limits
 from cep.search.annealing.states import Chain, found_by, new_chain, own_tables, refresh
-from cep.search.annealing.tables import limits_of
-from cep.search.annealing.terms import BLOCK, Tables
+from cep.search.annealing.terms import BLOCK, Tables, limits_of
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 

@@ -17,12 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.band import straight_axis
-from cep.code import ShutterCode
-from cep.search.annealing.nearby import otf_nearby
-from cep.search.annealing.polish import neighbours
-from cep.search.annealing.tables import lay_out
-from cep.search.annealing.terms import Tables
+from cep.optics.band import straight_axis
+from cep.optics.code import ShutterCode
+from cep.search.annealing.polish import neighbours, otf_nearby
+from cep.search.annealing.terms import Tables, lay_out
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 

@@ -1,10 +1,10 @@
 r"""What no code can exceed: the smallest |H|, the smallest |P|, and how little noise a restoration can have.
 
-Each figure is the best of several arguments, which :mod:`cep.search.bounding.elementary` and
-:mod:`cep.search.bounding.dual` prove; the relaxation only supplies multipliers. Every bound holds for each number of
-open chips alone, and a problem's bound is the weakest over its range. Limits on runs and single chips are ignored, so
-the bounds hold with them. A shutter with ramps is only bounded by its light: its |H|^2 is no quadratic form in the
-code.
+Each figure is the best of several arguments, which :mod:`cep.search.bounding.motion_basis` and
+:mod:`cep.search.bounding.relaxation` prove; the relaxation only supplies multipliers. Every bound holds for each
+number of open chips alone, and a problem's bound is the weakest over its range. Limits on runs and single chips are
+ignored, so the bounds hold with them. A shutter with ramps is only bounded by its light: its |H|^2 is no quadratic
+form in the code.
 """
 
 from __future__ import annotations
@@ -15,12 +15,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.band import BandSamples, band_samples, straight_axis
-from cep.exposure import chip_basis, chip_parts
-from cep.search.bounding.dual import DualProof, circle_grid
-from cep.search.bounding.elementary import MotionBasis, chip_ceilings, mtf_ceilings, noise_floors
+from cep.optics.band import BandSamples, band_samples, straight_axis
+from cep.optics.exposure import chip_basis, chip_parts
+from cep.search.bounding.motion_basis import MotionBasis, chip_ceilings, mtf_ceilings, noise_floors
 from cep.search.bounding.proving import relaxed, tightened
-from cep.search.bounding.relaxation import Relaxation
+from cep.search.bounding.relaxation import DualProof, Relaxation, circle_grid
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 
@@ -44,7 +43,7 @@ class Bound:
         No code's smallest |P| over the unit circle exceeds it, chips.
     noise : float
         No code's ``10 log10 mean 1/|H|^2`` lies below it, worst scenario and direction; light-true. The mean is that of
-        :func:`cep.mtf.measure`; on the unit circle it is the one over the whole circle.
+        :func:`cep.optics.mtf.measure`; on the unit circle it is the one over the whole circle.
     method : dict of str to str
         The argument that won for each of the three.
     proofs : tuple of DualProof

@@ -10,11 +10,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.band import band_samples, straight_axis
-from cep.exposure import chip_basis
-from cep.search.bounding.dual import DualProof, circle_average, largest_form
-from cep.search.bounding.elementary import MotionBasis
-from cep.search.bounding.relaxation import Relaxation, Solver, relax
+from cep.optics.band import band_samples, straight_axis
+from cep.optics.exposure import chip_basis
+from cep.search.bounding.motion_basis import MotionBasis
+from cep.search.bounding.relaxation import DualProof, Relaxation, Solver, circle_average, largest_form, relax
 
 __all__ = ["relaxed", "tightened"]
 

@@ -13,14 +13,15 @@ from cep.search.exhaustive.exhaust import (
     BYTES,
     INNER,
     SHIFT,
+    Limits,
     Part,
     all_patterns,
     dot,
     fill_cells,
+    possible,
     scan,
     sums_by_byte,
 )
-from cep.search.exhaustive.runs import Limits, possible
 
 __all__ = ["MARGIN", "Scanner", "Tables"]
 

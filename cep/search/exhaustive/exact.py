@@ -24,18 +24,17 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.band import band_samples, circle_samples
-from cep.certify.minimum import Minimum, chip_minimum, min_chip, mtf_minimum
-from cep.code import ShutterCode
-from cep.exposure import chip_basis
+from cep.optics.band import band_samples, circle_samples
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import chip_basis
+from cep.proofs.certify.minimum import Minimum, chip_minimum, min_chip, mtf_minimum
 from cep.search.exhaustive.blocks import MARGIN, Scanner, Tables
-from cep.search.exhaustive.climb import climbed
-from cep.search.exhaustive.exhaust import BYTES, INNER, dot
+from cep.search.exhaustive.exhaust import BYTES, INNER, Limits, dot
 from cep.search.exhaustive.proof import ExactResult, LengthLog, ProofLog
-from cep.search.exhaustive.runs import Limits
 from cep.search.problem import SearchProblem
 
-__all__ = ["ExactResult", "LengthLog", "ProofLog", "codes_to_count", "exact"]
+__all__ = ["ExactResult", "LengthLog", "ProofLog", "climbed", "codes_to_count", "exact"]
+
 
 Progress = Callable[[float, ShutterCode], None]
 Codes = NDArray[np.uint64]
@@ -291,3 +290,35 @@ def _packed(bits: str) -> Codes:
 
 def _rank(bits: str) -> tuple[int, int, str]:
     return bits.count("1"), -len(bits.strip("0")), bits
+
+
+Patterns = NDArray[np.int8]
+_LEAST = 1e-6  # relative gain of a step
+
+
+def climbed(
+    code: Patterns, basis: NDArray[np.complex128], satisfied: Callable[[Patterns], NDArray[np.bool_]]
+) -> Patterns:
+    """Flip the one or two chips that raise the smallest |H| most, for as long as any do.
+
+    Parameters
+    ----------
+    code : (n,) int8
+    basis : (n, Q) complex
+        Contribution of each chip at each frequency.
+    satisfied : callable
+        Which of (R, n) codes may be visited.
+    """
+    first, second = np.triu_indices(code.size)
+    best = -1.0
+    while True:
+        near = np.repeat(code[None], first.size, axis=0)
+        rows = np.arange(first.size)
+        near[rows, first] ^= 1
+        # a pair of one chip and itself is a single flip
+        near[rows, second] ^= (first != second).astype(np.int8)
+        near = near[satisfied(near)]
+        lowest = np.abs(dot(near, basis)).min(axis=1, initial=np.inf)
+        if not len(near) or lowest.max() <= best + _LEAST * abs(best):
+            return code
+        code, best = near[lowest.argmax()], float(lowest.max())

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.certify.minimum import Minimum
-from cep.code import ShutterCode
+from cep.optics.code import ShutterCode
+from cep.proofs.certify.minimum import Minimum
 
 __all__ = ["ExactResult", "LengthLog", "ProofLog"]
 

@@ -19,15 +19,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.baselines.published import for_chips
-from cep.code import ShutterCode
-from cep.search.annealing.anneal import COOLING, MOST_SWAPS, REHEATED, hottest_db
-from cep.search.annealing.budget import Stopped
+from cep.codes.published import for_chips
+from cep.optics.code import ShutterCode
+from cep.search.annealing.anneal import COOLING, MOST_SWAPS, REHEATED, Stopped, hottest_db
 from cep.search.annealing.chains import Cooling, Crew, Walks
-from cep.search.annealing.tables import lay_out
-from cep.search.annealing.terms import Tables
-from cep.search.fronts.archive import EQUAL_DB, Archive, Judge
-from cep.search.fronts.front import Front, FrontPoint, knees, non_dominated
+from cep.search.annealing.terms import Tables, lay_out
+from cep.search.fronts.front import EQUAL_DB, Archive, Front, FrontPoint, Judge, knees, non_dominated
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 

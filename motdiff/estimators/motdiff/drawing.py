@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from motdiff.conditions import QUICK_STARTS, display_photo, physics_maps, quick_kernels
-from motdiff.diffusion import cosine_schedule
-from motdiff.grids import inverse_symmetry, mirrored
 from motdiff.network import MotDiffNetwork
 from motdiff.network.condition import PHOTO_PX
-from motdiff.parallel import side_by_side
-from motdiff.sampling import sample_paths
+from motdiff.network.diffusion import cosine_schedule
+from motdiff.network.physics_maps import QUICK_STARTS, display_photo, physics_maps, quick_kernels
+from motdiff.network.sampling import sample_paths
+from motdiff.network.symmetry import inverse_symmetry, mirrored
+from motdiff.threads import side_by_side
 
 __all__ = ["draw_psfs", "searched_quickly"]
 
@@ -50,7 +50,7 @@ def draw_psfs(
         Steps of each draw.
     generator : torch.Generator
     method : str
-        See :func:`motdiff.diffusion.samples`.
+        See :func:`motdiff.network.diffusion.samples`.
     """
     light = torch.from_numpy(crops.astype(np.float32))[None]
     physics: Tensor | None = None

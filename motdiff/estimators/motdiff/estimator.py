@@ -10,16 +10,16 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from motdiff.conditions import QUICK_STARTS, quick_kernels
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.blind import Found, estimate_blind
-from motdiff.estimators.judge import Judge, candidate_probabilities, noise_sigma
+from motdiff.estimators.kernel_score import Judge, candidate_probabilities, noise_sigma
 from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
+from motdiff.estimators.multiscale import Found, estimate_blind
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import refined
 from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
-from motdiff.parallel import side_by_side
+from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
+from motdiff.threads import side_by_side
 from motdiff.weights import load_network
 
 __all__ = ["MotDiffEstimator"]
@@ -38,8 +38,8 @@ class MotDiffEstimator:
     """Blind estimator with the conditional diffusion model MoTDiff.
 
     Classical searches give kernels; the network, told of up to three of them, draws several motions; the photo judges
-    all (see :mod:`motdiff.estimators.judge`), and the most likely ones are refined on it at full resolution. So a
-    classical kernel is the result wherever the photo believes it more.
+    all (see :mod:`motdiff.estimators.kernel_score`), and the most likely ones are refined on it at full resolution. So
+    a classical kernel is the result wherever the photo believes it more.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class MotDiffEstimator:
         self._progress = progress or (lambda _share: None)
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Estimate the motion from a blurred ``photo``, see :func:`motdiff.estimators.blind.estimate_blind`."""
+        """Estimate the motion from a blurred ``photo``, see :func:`motdiff.estimators.multiscale.estimate_blind`."""
         estimate = estimate_blind(photo, self, method="motdiff", most_crops=self._crops)
         self._progress(1.0)
         return estimate

@@ -11,11 +11,11 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.blind import Found, estimate_blind
-from motdiff.estimators.judge import noise_sigma, rank_kernels
+from motdiff.estimators.kernel_score import noise_sigma, rank_kernels
+from motdiff.estimators.multiscale import Found, estimate_blind
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
 from motdiff.metrics import mnc_subpixel
-from motdiff.parallel import side_by_side
+from motdiff.threads import side_by_side
 
 __all__ = ["STARTS", "PmpEstimator", "Start", "refined"]
 
@@ -59,8 +59,8 @@ class PmpEstimator:
     """Blind estimator with the patch-wise minimal pixels prior.
 
     The starts run on the same crops, which share one kernel: the first two, and the others only where these found
-    different ones; the ranking of :mod:`motdiff.estimators.judge` chooses. ``confidence`` is the probability that the
-    chosen kernel has a sub-pixel MNC of 0.7 or more, fitted on simulated photos.
+    different ones; the ranking of :mod:`motdiff.estimators.kernel_score` chooses. ``confidence`` is the probability
+    that the chosen kernel has a sub-pixel MNC of 0.7 or more, fitted on simulated photos.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class PmpEstimator:
         self.largest_px = max(start.size for start in starts)
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Estimate the motion from a blurred ``photo``, see :func:`motdiff.estimators.blind.estimate_blind`."""
+        """Estimate the motion from a blurred ``photo``, see :func:`motdiff.estimators.multiscale.estimate_blind`."""
         estimate = estimate_blind(photo, self, method="pmp", most_crops=self._crops)
         self._progress(1.0)
         return estimate

@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy import fft
 
-from motdiff.training.jpeg import jpeg_loss
+from motdiff.training.simulation import jpeg_loss
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motdiff.conditions import spectral_maps
-from motdiff.diffusion import cosine_schedule
-from motdiff.losses import denoising_loss, dwell_loss, structure_loss
 from motdiff.network import NetworkConfig
-from motdiff.sampling import sample_paths
+from motdiff.network.diffusion import cosine_schedule
+from motdiff.network.losses import denoising_loss, dwell_loss, structure_loss
+from motdiff.network.physics_maps import spectral_maps
+from motdiff.network.sampling import sample_paths
 from motdiff.training import loop as module
 from motdiff.training.checkpoint import read_checkpoint
 from motdiff.training.config import DataConfig, LossConfig, OptimiserConfig, TrainingConfig

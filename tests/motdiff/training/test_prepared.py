@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.conditions import QuickStart, quick_kernels
+from motdiff.network.physics_maps import QuickStart, quick_kernels
 from motdiff.training import prepared
 from motdiff.training import samples as samples_module
 from motdiff.training.motion_bank import MotionMix, build_bank

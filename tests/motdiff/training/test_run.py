@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.conditions import QuickStart, quick_kernels
 from motdiff.network import NetworkConfig
+from motdiff.network.physics_maps import QuickStart, quick_kernels
 from motdiff.training import prepared as prepared_module
 from motdiff.training import samples as samples_module
 from motdiff.training.checkpoint import read_checkpoint

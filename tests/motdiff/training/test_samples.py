@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch.nn import functional
 
-from motdiff.conditions import QuickStart, quick_kernels
 from motdiff.network.condition import PHOTO_PX
+from motdiff.network.physics_maps import QuickStart, quick_kernels
 from motdiff.training import samples as samples_module
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.training.photos import crops

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from motdiff.simulate import blur_symmetric, blur_valid
-from motdiff.training.jpeg import jpeg_loss
-from motdiff.training.simulation import Photography, blurred, photographed
+from motdiff.training.simulation import Photography, blurred, jpeg_loss, photographed
 from motdiff.trajectory import Trajectory
 
 PLAIN = Photography(most_noise=0.0, gammas=(1.0, 1.0), wrong_gamma=0.0, gains=(1.0, 1.0), jpeg=0.0)

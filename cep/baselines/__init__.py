@@ -1,1 +1,0 @@
-"""Codes of others, and what a code is compared with."""

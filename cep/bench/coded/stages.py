@@ -1,0 +1,210 @@
+"""Third stage of the coded-exposure table, pure functions: the coded photo taken, restored and compared."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from cep.bench.coded.designs import Known, designed
+from cep.bench.coded.protocol import paths_from, paths_to
+from cep.bench.datasets import Cut, sharp_scene
+from cep.optics.camera import Camera, capture
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.optics.mtf import CodeMetrics, measure
+from cep.restoration import restore
+from cep.restoration.direction import detect_direction
+from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift
+from motdiff.psf_frame import PSF_PX, moved
+from motdiff.simulate import visible
+from motdiff.trajectory import Trajectory
+
+__all__ = [
+    "Taken",
+    "choose_code",
+    "estimate_motion",
+    "motion_of",
+    "photo_of",
+    "photographed",
+    "pictures_of",
+    "take_photo",
+]
+
+
+FloatArray = NDArray[np.float64]
+_ZERO = 1e-9
+_CROP_PX = 32  # left out of every comparison: restored borders lean on a guess
+
+
+def take_photo(
+    scene: ArrayLike, motion: str, assumed: str | None, *, bits: str, borders: str, light_true: bool, restoration: str,
+    border_rounds: int, camera: Mapping[str, Any], seed: int,
+) -> dict[str, float]:  # fmt: skip
+    """Take the coded photo along the true motion, restore it, and compare it with the scene.
+
+    Parameters
+    ----------
+    scene : (H, W) array_like, linear light 0..1
+    motion : str
+        True path.
+    assumed : str or None
+        Path that the restoration goes by, of unknown direction unless it says otherwise; None: it knows the true PSF.
+    bits : str
+    borders : {"real", "symmetric"}
+    light_true : bool
+        Whether the photo has the code's light, or as much as with an open shutter.
+    restoration : str
+        The Wiener filter is told the camera's noise.
+    border_rounds : int
+        Rounds of reblurring outside the photo's borders.
+    camera : mapping
+    seed : int
+
+    Returns
+    -------
+    dict with ``psnr_db`` and ``ssim`` (linear light, up to shift), ``noise_gain_db`` and ``reversed_noise_gain_db``
+    (along the true motion and against it, at the light that the photo has; infinite on a straight, even motion whose
+    MTF has a zero), and ``min_mtf`` (light-true)
+    """
+    taken = photographed(
+        scene, motion, assumed, bits=bits, borders=borders, light_true=light_true, restoration=restoration,
+        border_rounds=border_rounds, camera=camera, seed=seed,
+    )  # fmt: skip
+    truth, code = paths_from(motion)[0][0], ShutterCode(bits)
+    along, against = (measure(path, code, budget=0) for path in (truth, truth.reversed()))
+    lent_db = 0.0 if light_true else 20 * math.log10(code.duty)
+    psnr_db, ssim = psnr_ssim_up_to_shift(taken.restored, taken.target, crop_px=_CROP_PX)
+    return {
+        "psnr_db": psnr_db,
+        "ssim": ssim,
+        "noise_gain_db": _gain_db(along) + lent_db,
+        "reversed_noise_gain_db": _gain_db(against) + lent_db,
+        "min_mtf": along.min_mtf,
+    }
+
+
+def _gain_db(metrics: CodeMetrics) -> float:
+    # on a line of zeros, as an open shutter has on straight motion, samples near it would give any figure
+    return math.inf if metrics.min_chip is not None and metrics.min_mtf < _ZERO else metrics.noise_gain_db
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Pictures behind one row of figures: linear light, (H, W), and the true coded PSF, (64, 64)."""
+
+    photo: FloatArray
+    psf: FloatArray
+    restored: FloatArray
+    target: FloatArray
+
+
+def photographed(
+    scene: ArrayLike, motion: str, assumed: str | None, *, bits: str, borders: str, light_true: bool, restoration: str,
+    border_rounds: int, camera: Mapping[str, Any], seed: int,
+) -> Taken:  # fmt: skip
+    """Take and restore the photo of :func:`take_photo`, whose parameters these are."""
+    truth, code = paths_from(motion)[0][0], ShutterCode(bits)
+    psf = coded_psf(truth, code, PSF_PX)
+    scale = 1.0 if light_true else 1 / code.duty
+    shown = np.asarray(scene, dtype=np.float64)
+    rng = np.random.default_rng([seed, 3])
+    sensor = Camera.from_dict(camera)
+    photo = capture(shown, scale * psf, sensor, rng=rng, borders=borders)
+    found = psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
+    # Where a scene lies no photo can tell: run backwards, a short exposure at the end of a straight path is one at its
+    # start, the same PSF elsewhere. Restored with it, the scene is as good and merely displaced.
+    away_px = _displacement_px(found, psf)
+    whole_px = np.round(away_px).astype(int)
+    used = scale * moved(found, down_px=whole_px[0], right_px=whole_px[1])
+    told: dict[str, Any] = {"camera": sensor} if restoration == "wiener" else {}
+    restored = restore(photo, used, method=restoration, border_rounds=border_rounds, **told).image
+    if (rest_px := whole_px - away_px).any():
+        restored = ndimage.shift(restored, rest_px, order=5, mode="nearest")
+    restored = np.clip(restored, 0, 1)
+    return Taken(photo, psf, restored, visible(shown, PSF_PX, borders=borders))
+
+
+def _displacement_px(psf: FloatArray, other: FloatArray) -> FloatArray:
+    """From the centroid of ``psf`` to that of ``other``, (2,): down and right."""
+    of_one, of_other = (np.array(ndimage.center_of_mass(one)) - np.array(one.shape) // 2 for one in (psf, other))
+    return np.asarray(of_other - of_one, dtype=np.float64)
+
+
+def _assumed_psf(photo: FloatArray, path: Trajectory, code: ShutterCode) -> FloatArray:
+    if path.direction == "known" or code.bits == code.bits[::-1]:
+        return coded_psf(path, code, path.frame_size(PSF_PX))
+    return detect_direction(photo, path, code, size=PSF_PX).psf
+
+
+def choose_code(
+    known: Known, *, design: str, chips: int, open_range: tuple[int, int], objective: str, camera: Mapping[str, Any],
+    steps: int, seed: int,
+) -> dict[str, float | str]:  # fmt: skip
+    """Choose a code as a design does; returns ``bits`` and ``cpu_s``. See :mod:`cep.bench.coded.designs`."""
+    started = time.process_time()
+    code = designed(
+        design, known, chips=chips, open_range=open_range, objective=objective, camera=Camera.from_dict(camera),
+        steps=steps, rng=np.random.default_rng([seed, 2]),
+    )  # fmt: skip
+    return {"bits": code.bits, "duty": code.duty, "cpu_s": time.process_time() - started}
+
+
+def estimate_motion(
+    scene: ArrayLike, motion: str, *, method: str, borders: str, camera: Mapping[str, Any], seed: int
+) -> dict[str, float | str]:
+    """Take the calibration photo, shutter open, and estimate the motion from it.
+
+    Parameters
+    ----------
+    scene : (H, W) array_like, linear light 0..1
+    motion : str
+        True path, of :func:`cep.bench.coded.protocol.paths_to`.
+    method : str
+        Name of an estimator of :mod:`motdiff.evaluation.methods`.
+    borders : {"real", "symmetric"}
+    camera : mapping
+        Of :meth:`cep.optics.camera.Camera.to_dict`.
+    seed : int
+
+    Returns
+    -------
+    dict with ``paths``, ``mnc`` (sub-pixel, of the path's own PSF), ``cpu_s``
+    """
+    from motdiff.evaluation.methods import named_estimators
+
+    truth = paths_from(motion)[0][0]
+    rng = np.random.default_rng([seed, 1])
+    photo = capture(scene, truth.psf(PSF_PX), Camera.from_dict(camera), rng=rng, borders=borders)
+    estimator = named_estimators([method])[method]
+    started = time.process_time()
+    estimate = estimator.estimate(np.clip(photo, 0, 1))
+    seconds = time.process_time() - started
+    found = estimate.trajectories[0]
+    return {
+        "paths": paths_to(estimate.trajectories, estimate.weights),
+        "mnc": mnc_subpixel(found.psf(found.frame_size(PSF_PX)), truth.psf(PSF_PX)),
+        "cpu_s": seconds,
+    }
+
+
+def motion_of(photo: Path, cut: Cut, **arguments: Any) -> dict[str, float | str]:
+    """Estimate a motion, as :func:`cep.bench.coded.stages.estimate_motion` does."""
+    return estimate_motion(sharp_scene(photo, cut), **arguments)
+
+
+def photo_of(photo: Path, cut: Cut, **arguments: Any) -> dict[str, float]:
+    """Take and compare a photo, as :func:`cep.bench.coded.stages.take_photo` does."""
+    return take_photo(sharp_scene(photo, cut), **arguments)
+
+
+def pictures_of(photo: Path, cut: Cut, **arguments: Any) -> Taken:
+    """Take the same photo as :func:`photo_of`, to look at."""
+    return photographed(sharp_scene(photo, cut), **arguments)

@@ -1,0 +1,99 @@
+"""What our own commands leave in a folder: told by the files that lie together, so that it is not taken for photos."""
+
+from __future__ import annotations
+
+import re
+import struct
+import sys
+from pathlib import Path
+
+from cep.bench.table_io import TABLES_SCHEMA
+from cep.io.files import CODE_SCHEMA, FRONT_SCHEMA, PSF_SUFFIXES
+from cep.io.images import PICTURE_SUFFIXES
+from cep.workflows.calibrate import CALIBRATION_FILES
+from motdiff.io.trajectories import SCHEMA as MOTION_SCHEMA
+
+__all__ = ["left_by_us"]
+
+_FIGURED = (TABLES_SCHEMA, FRONT_SCHEMA)
+_HEAD = re.compile(rb'\{\s*"schema"\s*:\s*"([^"]*)"')
+_HEAD_BYTES = 200  # annotations of photos may be large
+_MAT_HEAD_BYTES = 176
+_MAT_NAME = struct.pack("=I4s", 3 << 16 | 1, b"psf")  # text, three bytes of it, as version 5 of the format packs it
+
+
+def left_by_us(path: Path) -> bool:
+    """Whether a picture or ``.mat`` file was made by a command that left its record beside it.
+
+    These are figures of benchmarks and fronts, beside their JSON; PSFs, beside the same in the other formats; photos
+    that ``cep simulate`` has blurred, beside their PSFs; and the pictures of ``cep calibrate`` and ``cep demo``, by
+    their names in a folder with the motion, its PSF and, of the demo, its code. What ``cep mtf`` and ``cep deblur``
+    write has no record and cannot be told from a photo.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    OSError
+        If a file beside it cannot be read.
+    """
+    return _is_figure(path) or _is_psf(path) or _is_simulated(path) or _is_of_calibration(path) or _is_of_demo(path)
+
+
+def _is_figure(path: Path) -> bool:
+    return path.suffix == ".png" and _is_ours(path.with_suffix(".json"), *_FIGURED)
+
+
+def _is_psf(path: Path) -> bool:
+    return path.suffix in PSF_SUFFIXES and _has_psf(path.parent, path.stem)
+
+
+def _is_simulated(path: Path) -> bool:
+    return (
+        path.suffix.lower() in PICTURE_SUFFIXES
+        and _has_psf(path.parent, f"{path.stem}_psf")
+        and not _is_ours(path.with_suffix(".json"), CODE_SCHEMA)  # the PSF of a code that was played
+        # which one of several was blurred is not known
+        and sum(path.with_suffix(suffix).is_file() for suffix in {path.suffix, *PICTURE_SUFFIXES}) == 1
+    )
+
+
+def _is_of_calibration(path: Path) -> bool:
+    return path.name in CALIBRATION_FILES and _has_motion(path.parent)
+
+
+def _is_of_demo(path: Path) -> bool:
+    folder = path.parent
+    if not (folder / "demo.json").is_file():
+        return False
+    from cep.workflows.demo import DEMO_FILES
+
+    return path.name in DEMO_FILES and _has_motion(folder) and _is_ours(folder / "code.json", CODE_SCHEMA)
+
+
+def _has_motion(folder: Path) -> bool:
+    return _is_ours(folder / "trajectory.json", MOTION_SCHEMA) and _has_psf(folder, "psf")
+
+
+def _has_psf(folder: Path, stem: str) -> bool:
+    """Whether a PSF lies there as :func:`cep.io.files.write_psf` leaves it."""
+    if not all((folder / f"{stem}{suffix}").is_file() for suffix in PSF_SUFFIXES):
+        return False
+    path = folder / f"{stem}.mat"
+    with path.open("rb") as stream:
+        head = stream.read(_MAT_HEAD_BYTES)
+    # the first variable's length, to the end of the file, and its name; SciPy is not asked: a damaged file may crash it
+    length = int.from_bytes(head[132:136], sys.byteorder)
+    return 136 + length == path.stat().st_size and head[168:] == _MAT_NAME
+
+
+def _is_ours(path: Path, *schemas: str) -> bool:
+    """Whether a JSON file says that it has one of these schemas, of whatever version."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        found = _HEAD.match(stream.read(_HEAD_BYTES))
+    kinds = {schema.partition("/")[0].encode() for schema in schemas}
+    return found is not None and found[1].partition(b"/")[0] in kinds

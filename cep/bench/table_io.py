@@ -1,0 +1,159 @@
+"""A benchmark's tables as files: Markdown for people, CSV and JSON for programs."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cep.bench.tables import Table
+from cep.io.files import json_text
+from cep.jobs.cache import ENGINE
+from cep.plots.canvas import png_bytes, undated
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "FIGURE_SUFFIXES",
+    "TABLES_SCHEMA",
+    "machines_markdown",
+    "made_json",
+    "markdown_table",
+    "means_in_words",
+    "tables_csv",
+    "tables_json",
+    "tables_markdown",
+    "write_figure",
+]
+
+
+TABLES_SCHEMA = "cep.bench/1"
+
+
+def tables_markdown(tables: Sequence[Table]) -> str:
+    """Lay out tables as Markdown, bold where a paired test says so."""
+    blocks = [f"**{table.title}**\n\n{markdown_table(table.head, table.lines(('**', '**')))}\n" for table in tables]
+    return "\n".join(blocks)
+
+
+def means_in_words(tables: Sequence[Table]) -> str:
+    """Say what the figures of tables are: intervals and bold rows only where there are some."""
+    if not any(entry.told for table in tables for entries in table.rows.values() for entry in entries):
+        return (
+            "Means. There are too few photos or motions for intervals, and for a paired test that would make the best "
+            "bold."
+        )
+    return (
+        "Means, and in brackets their 95 % intervals for other photos and other motions alike; the best is bold only "
+        "where a paired test tells it from the next one."
+    )
+
+
+def markdown_table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Lay out lines of texts as a Markdown table: the first column to the left, the others, figures, to the right."""
+    rule = ("---", *("---:",) * (len(head) - 1))
+    return "\n".join(
+        "| " + " | ".join(text.replace("|", "\\|") for text in line) + " |" for line in (head, rule, *lines)
+    )
+
+
+def machines_markdown(machines: Sequence[Mapping[str, Any]]) -> str:
+    """Tell in a list of Markdown where figures were made: hardware, system and the versions of all packages."""
+    lines = []
+    for machine in machines:
+        versions = ", ".join(f"{name} {found}" for name, found in machine["versions"].items() if found)
+        memory = f", {machine['memory_gib']:g} GiB" if machine["memory_gib"] else ""
+        lines.append(
+            f"- {machine['processor']}, {machine['cores']} cores{memory}, {machine['system']}, Python "
+            f"{machine['python']}: {versions}"
+        )
+    return "\n".join(lines)
+
+
+def tables_csv(tables: Sequence[Table]) -> str:
+    """Lay out tables as CSV, a line per row and figure; empty where not measured."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    heads = ("table", "row", "figure", "cells", "n", "mean", "low", "high", "median", "sd", "q05", "q95", "bold")
+    writer.writerow(heads)
+    for table in tables:
+        for label, entries in table.rows.items():
+            for entry, column in zip(entries, table.columns, strict=True):
+                one, ends = entry.summary, entry.interval
+                numbers = (
+                    one.mean,
+                    *((ends.low, ends.high) if ends else (None, None)),
+                    one.median,
+                    one.sd,
+                    one.q05,
+                    one.q95,
+                )
+                texts = ("" if number is None or math.isnan(number) else f"{number:.6g}" for number in numbers)
+                start = (table.title, label, column.figure, table.cells[label], one.n)
+                writer.writerow((*start, *texts, "yes" if entry.bold else "no"))
+    return stream.getvalue()
+
+
+def tables_json(
+    tables: Sequence[Table], *, command: str, seed: int, machines: Sequence[Mapping[str, Any]], warnings: Sequence[str]
+) -> str:
+    """Lay out tables as JSON (schema ``cep.bench/1``) with all that tells how they were made.
+
+    Parameters
+    ----------
+    tables : sequence of Table
+    command : str
+        What makes them again.
+    seed : int
+    machines : sequence of mapping
+        As of :attr:`cep.jobs.engine.Outcome.machines`, with the versions of what ran there.
+    warnings : sequence of str
+    """
+    listed = [
+        {
+            "title": table.title,
+            "columns": [asdict(column) for column in table.columns],
+            "rows": [
+                {"row": label, "cells": table.cells[label], "entries": [asdict(entry) for entry in entries]}
+                for label, entries in table.rows.items()
+            ],
+        }
+        for table in tables
+    ]
+    return made_json({"tables": listed}, command=command, seed=seed, machines=machines, warnings=warnings)
+
+
+def made_json(
+    content: Mapping[str, Any],
+    *,
+    command: str,
+    seed: int,
+    machines: Sequence[Mapping[str, Any]],
+    warnings: Sequence[str],
+) -> str:
+    """Lay out a table's content as JSON; the other parameters as those of :func:`tables_json`."""
+    made = {"command": command, "seed": seed, "engine": ENGINE, "machines": machines, "warnings": warnings}
+    return json_text({"schema": TABLES_SCHEMA, **made, **content})
+
+
+FIGURE_SUFFIXES = (".png", ".pdf")
+"""What :func:`write_figure` writes."""
+
+_PRINT_DPI = 300
+
+
+def write_figure(figure: Figure, folder: Path, stem: str) -> None:
+    """Write ``STEM.png`` and ``STEM.pdf`` into a folder; the same figure gives the same bytes.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written, as on a full disk.
+    """
+    (folder / f"{stem}.png").write_bytes(png_bytes(figure))
+    (folder / f"{stem}.pdf").write_bytes(undated(figure, "pdf", dpi=_PRINT_DPI))

@@ -1,0 +1,1 @@
+"""Tables of published shutter codes, that of deep coded exposure among them."""

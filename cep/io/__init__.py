@@ -1,0 +1,1 @@
+"""Files: images, codes and PSFs, outputs that are written whole or not at all."""

@@ -1,0 +1,238 @@
+"""What commands write and read besides images and trajectories: ``code.json``, PSFs, strict JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, is_dataclass
+from io import BytesIO
+from pathlib import Path
+from tokenize import TokenError
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.io.images import read_photo
+from cep.io.outputs import new_files, write_bytes, write_text
+from cep.optics.code import ShutterCode
+from motdiff.crops import luminance
+from motdiff.io import inputs
+from motdiff.io.inputs import one_line, regular_file
+from motdiff.io.mat_files import levin_psf, read_mat
+
+__all__ = [
+    "CODE_SCHEMA",
+    "FRONT_SCHEMA",
+    "PSF_SUFFIXES",
+    "StoredCode",
+    "json_text",
+    "plain",
+    "read_code",
+    "read_json",
+    "read_psf",
+    "write_code",
+    "write_psf",
+]
+
+CODE_SCHEMA = "cep.code/1"
+FRONT_SCHEMA = "cep.front/1"
+PSF_SUFFIXES = (".npy", ".mat", ".png")
+
+
+@dataclass(frozen=True)
+class StoredCode:
+    """What a code file holds.
+
+    Attributes
+    ----------
+    code : ShutterCode
+    metrics : mapping
+        Figures of :func:`cep.optics.mtf.measure`.
+    problem : mapping
+        What the code was searched for: trajectory, limits, objective, seed.
+    certificate : mapping
+        Proof of the minimum, where there is one.
+    """
+
+    code: ShutterCode
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    problem: Mapping[str, Any] = field(default_factory=dict)
+    certificate: Mapping[str, Any] = field(default_factory=dict)
+
+
+def write_code(path: Path | str, stored: StoredCode) -> None:
+    """Write ``stored`` as JSON (schema ``cep.code/1``), whole or not at all."""
+    document = {
+        "schema": CODE_SCHEMA,
+        "bits": stored.code.bits,
+        "chip_ns": stored.code.chip_ns,
+        "metrics": stored.metrics,
+        "problem": stored.problem,
+        "certificate": stored.certificate,
+    }
+    write_text(path, json_text(document))
+
+
+def read_code(path: Path | str) -> StoredCode:
+    """Read a code file.
+
+    Raises
+    ------
+    ValueError
+        If the file is not JSON, of another schema, or its bits are no code; the line names the file.
+    OSError
+        If the file cannot be read.
+    """
+    document = read_json(path, schema=CODE_SCHEMA)
+    for name in ("bits", "chip_ns"):
+        if name not in document:
+            raise ValueError(f'{path}: field "{name}" is missing')
+    parts = [document.get(name) or {} for name in ("metrics", "problem", "certificate")]
+    if not all(isinstance(part, dict) for part in parts):
+        raise ValueError(f"{path}: metrics, problem and certificate must be objects")
+    if not isinstance(document["bits"], str):
+        raise ValueError(f"{path}: bits must be a string of 0 and 1, found {type(document['bits']).__name__}")
+    try:
+        code = ShutterCode(document["bits"], document["chip_ns"])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {one_line(error)}") from None
+    return StoredCode(code, *parts)
+
+
+def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:
+    """Read a JSON object and check its ``schema``.
+
+    Raises
+    ------
+    ValueError
+        If the file is not JSON or has another schema.
+    OSError
+        If the file cannot be read.
+    """
+    document = inputs.read_json(path)
+    found = document.get("schema") if isinstance(document, dict) else type(document).__name__
+    if not isinstance(document, dict) or found != schema:
+        raise ValueError(f'{path}: wanted schema "{schema}", found {one_line(repr(found))}')
+    return document
+
+
+def plain(value: object) -> Any:
+    """Turn arrays, dataclasses, paths and NumPy numbers into what JSON knows; NaN and infinities become null.
+
+    Examples
+    --------
+    >>> plain({"gain_db": float("inf"), "size": np.int64(3)})
+    {'gain_db': None, 'size': 3}
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int | bool):
+        return value
+    return str(value)
+
+
+def json_text(value: object) -> str:
+    """Format ``value`` as strict JSON with a closing newline."""
+    return json.dumps(plain(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+# -- PSFs -----------------------------------------------------------------------------------------------------------
+
+
+def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple[Path, Path, Path]:
+    """Write a PSF as ``.npy`` (float32), ``.mat`` (variable ``psf``) and, for people, ``.png``, all three or none.
+
+    In the ``.png`` the largest value is white.
+
+    Parameters
+    ----------
+    folder : existing folder
+    psf : (S, S) array_like
+    stem : str, file name without suffix
+
+    Returns
+    -------
+    tuple of Path : the three files written
+    """
+    import cv2
+    from scipy.io import savemat
+
+    kernel = np.asarray(psf, dtype=np.float32)
+    paths = tuple(Path(folder) / f"{stem}{suffix}" for suffix in PSF_SUFFIXES)
+    grey = np.rint(255 * kernel / max(float(kernel.max()), float(np.finfo(np.float32).tiny))).astype(np.uint8)
+    stored = BytesIO()
+    np.save(stored, kernel)  # to a file it would not say why a disk took no more
+    matlab = BytesIO()
+    savemat(matlab, {"psf": kernel.astype(np.float64)})
+    contents = (stored.getvalue(), matlab.getvalue(), cv2.imencode(".png", grey)[1].tobytes())
+    with new_files(paths) as made:
+        for path, content in zip(paths, contents, strict=True):
+            write_bytes(made[path], content)
+    return paths[0], paths[1], paths[2]
+
+
+def read_psf(path: Path | str) -> NDArray[np.float64]:
+    """Read a PSF from ``.npy``, ``.mat`` or an image (whose samples are taken as linear).
+
+    Of a ``.mat`` file the variable ``psf`` is read as it is; where there is none, ``f``, the kernel in Levin's files,
+    which is turned by 180 degrees: see :func:`motdiff.io.mat_files.levin_psf`.
+
+    Returns
+    -------
+    (S, S) float, non-negative, as stored; an image is scaled to sum 1.
+
+    Raises
+    ------
+    ValueError
+        If there is no usable PSF in the file.
+    OSError
+        If the file cannot be read.
+    """
+    source = Path(path)
+    suffix = source.suffix.lower()
+    if suffix == ".npy":
+        psf = _psf_from_npy(source)
+    elif suffix == ".mat":
+        psf = _psf_from_mat(source)
+    else:
+        psf = _psf_from_image(source)
+    if psf.ndim != 2 or min(psf.shape) < 1 or psf.dtype.kind not in "fiu":
+        kind = one_line(repr(psf.dtype.name))
+        raise ValueError(f"{source}: a PSF is one table of real numbers, found shape {psf.shape} of {kind}")
+    kernel = psf.astype(np.float64)
+    if not np.isfinite(kernel).all() or kernel.min() < 0 or kernel.sum() <= 0:
+        raise ValueError(f"{source}: a PSF must be finite, not negative and not all zero")
+    return np.asarray(kernel)
+
+
+def _psf_from_npy(source: Path) -> NDArray[Any]:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # headers of old versions of NumPy
+            # mapped: a header that promises more than there is takes no memory
+            return np.lib.format.open_memmap(regular_file(source), mode="r")
+    except (ValueError, TypeError, OverflowError, EOFError, SyntaxError, TokenError, RecursionError) as error:
+        raise ValueError(f"{source}: not a NumPy array file ({one_line(error)})") from None
+
+
+def _psf_from_mat(source: Path) -> NDArray[Any]:
+    variables = read_mat(source, ["psf", "f"])
+    return variables["psf"] if "psf" in variables else levin_psf(variables["f"])
+
+
+def _psf_from_image(source: Path) -> NDArray[Any]:
+    pixels = read_photo(source, gamma="linear", min_side_px=1).pixels
+    grey = luminance(pixels)
+    total = float(grey.sum())
+    return np.asarray(grey / total) if total > 0 else grey

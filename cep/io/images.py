@@ -1,0 +1,254 @@
+"""Photographs in and out: PNG, TIFF, JPEG, WebP, RAW and .mat files as linear light, 0..1; 16 bit stays 16 bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.io.outputs import new_file
+from motdiff.io.decoding import decode, decoder_output
+from motdiff.io.inputs import one_line, regular_file
+from motdiff.io.mat_files import read_mat
+from motdiff.io.photo_files import check_px, photo_bytes
+from motdiff.simulate import to_display, to_linear
+
+__all__ = [
+    "MIN_SIDE_PX",
+    "PHOTO_SUFFIXES",
+    "PICTURE_SUFFIXES",
+    "Photo",
+    "check_image_name",
+    "parse_gamma",
+    "read_image",
+    "read_photo",
+    "write_image",
+]
+
+FloatArray = NDArray[np.float64]
+
+MIN_SIDE_PX = 16
+"""Smallest side of a photo, px: below it there is no blur to speak of."""
+
+PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
+"""What :func:`write_image` writes."""
+
+_RAW = {".3fr", ".arw", ".cr2", ".cr3", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".srw"}
+_RAW_OPTIONS: dict[str, Any] = {
+    "gamma": (1, 1),
+    "output_bps": 16,
+    "use_camera_wb": True,
+    "no_auto_bright": True,
+    "adjust_maximum_thr": 0.0,  # full scale is the sensor's, not the brightest pixel of this photo
+}
+PHOTO_SUFFIXES = (*PICTURE_SUFFIXES, ".webp", *sorted(_RAW))
+"""Photos of a folder: what :func:`read_photo` reads, but for .mat files, which hold other things as well."""
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A photograph in memory.
+
+    Attributes
+    ----------
+    pixels : (H, W) or (H, W, 3) float
+        Linear light, 0..1, colours in the order red, green, blue.
+    bits : int
+        Bits per sample of the file: 8, 16, or 32 for floating point.
+    warnings : tuple of str
+        What was lost or assumed on the way, one sentence each.
+    """
+
+    pixels: FloatArray
+    bits: int
+    warnings: tuple[str, ...] = ()
+
+
+def read_image(path: Path | str, *, gamma: str | float = "srgb", variable: str = "y") -> FloatArray:
+    """Read a photo's pixels: :func:`read_photo` without the particulars."""
+    return read_photo(path, gamma=gamma, variable=variable).pixels
+
+
+def read_photo(
+    path: Path | str, *, gamma: str | float = "srgb", min_side_px: int = MIN_SIDE_PX, variable: str = "y"
+) -> Photo:
+    """Read a photo as linear light.
+
+    Parameters
+    ----------
+    path : path of a PNG, TIFF, JPEG, WebP, .mat or (with the package ``rawpy``) RAW file
+    gamma : {"srgb", "linear"} or float
+        How the file's numbers encode light: the sRGB curve, not at all, or ``value ** gamma``. Floating-point TIFF, RAW
+        and .mat files hold linear light already, whatever is asked.
+    min_side_px : int
+        Smaller images are refused.
+    variable : str
+        Of a .mat file: the variable that is the photo. In Levin's files ``y`` is blurred and ``x`` sharp.
+
+    Raises
+    ------
+    ValueError
+        If the file is empty, cut short, not an image, too small, has more than :data:`motdiff.io.photo_files.MOST_PX`
+        pixels, or holds NaN; the line names it.
+    OSError
+        If the file cannot be read.
+    """
+    source = Path(path)
+    exponent = _exponent(gamma)
+    suffix = source.suffix.lower()
+    warnings: tuple[str, ...] = ()
+    if suffix in _RAW:
+        decoded = _read_raw(source)
+        exponent = 1.0
+    elif suffix == ".mat":
+        decoded = _read_mat(source, variable)
+        exponent = 1.0
+        warnings = (f'{source}: its variable "{variable}" was taken as linear light, as it is stored',)
+    else:
+        decoded, warnings = _read_picture(source)
+    height, width = decoded.shape[:2]
+    if min(height, width) < min_side_px:
+        raise ValueError(f"{source}: {width} x {height} px is too small, at least {min_side_px} px a side is needed")
+    if decoded.dtype.kind == "f":
+        return Photo(_checked_float(source, decoded), 32, warnings)
+    if decoded.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"{source}: has {decoded.dtype} samples, wanted 8 or 16 bit or floating point")
+    full_scale = int(np.iinfo(decoded.dtype).max)
+    # a table of all 2^bits values: forty megapixels cost one look-up each
+    table = to_linear(np.arange(full_scale + 1) / full_scale, gamma=exponent)
+    return Photo(np.ascontiguousarray(table[decoded]), 8 * decoded.dtype.itemsize, warnings)
+
+
+def check_image_name(path: Path | str) -> None:
+    """Check, before any work is done, that :func:`write_image` writes such files; raises ValueError as it does."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in PICTURE_SUFFIXES:
+        raise ValueError(f"{path}: images are written as .png, .tif or .jpg, not {suffix or 'without a suffix'}")
+
+
+def write_image(path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str | float = "srgb") -> None:
+    """Write linear light as PNG, TIFF or JPEG, whole or not at all; values outside 0..1 are clipped.
+
+    Parameters
+    ----------
+    path : path ending in .png, .tif, .tiff, .jpg or .jpeg
+    image : (H, W) or (H, W, 3) array_like, linear light 0..1
+    bits : {8, 16, 32}
+        Bits per sample: PNG takes 8 or 16, TIFF also 32 (floating point, linear), JPEG always has 8.
+    gamma : {"srgb", "linear"} or float
+        As :func:`read_photo`, which reads the same light back.
+
+    Raises
+    ------
+    ValueError
+        If the name has another suffix, or the samples are not finite.
+    OSError
+        If the folder cannot be written to.
+    """
+    import cv2
+
+    target = Path(path)
+    check_image_name(target)
+    suffix, exponent = target.suffix.lower(), _exponent(gamma)
+    if bits not in (8, 16, 32):
+        raise ValueError(f"bits: must be 8, 16 or 32, got {bits}")
+    pixels = np.asarray(image, dtype=np.float64)
+    if pixels.ndim not in (2, 3) or not np.isfinite(pixels).all():
+        raise ValueError(f"image: must be finite, (H, W) or (H, W, 3), got shape {pixels.shape}")
+    pixels = np.clip(pixels, 0, 1)
+    if suffix in (".jpg", ".jpeg"):
+        bits = 8
+    elif suffix == ".png":
+        bits = min(bits, 16)
+    samples: NDArray[Any]
+    if bits == 32:
+        samples = pixels.astype(np.float32)
+    else:
+        full_scale = 2**bits - 1
+        samples = np.rint(to_display(pixels, gamma=exponent) * full_scale).astype(np.uint8 if bits == 8 else np.uint16)
+    if samples.ndim == 3:
+        samples = np.ascontiguousarray(samples[:, :, ::-1])
+    options = [cv2.IMWRITE_JPEG_QUALITY, 95] if bits == 8 and suffix.startswith(".jp") else []
+    encoded_well, encoded = cv2.imencode(suffix, samples, options)
+    if not encoded_well:
+        raise ValueError(f"{target}: an image of shape {samples.shape} cannot be written as {suffix}")
+    with new_file(target) as temporary:
+        temporary.write_bytes(encoded.tobytes())
+
+
+def parse_gamma(text: str | float) -> str | float:
+    """Check a response curve: ``"srgb"``, ``"linear"``, or a number in 1..4 (also as text, from a command line).
+
+    Examples
+    --------
+    >>> parse_gamma("2.2")
+    2.2
+    """
+    if text in ("srgb", "linear"):
+        return text
+    try:
+        exponent = float(text)
+    except ValueError:
+        exponent = float("nan")
+    if not 1 <= exponent <= 4:
+        raise ValueError(f'gamma: must be "srgb", "linear" or a number from 1 to 4, got {text!r}')
+    return exponent
+
+
+def _exponent(gamma: str | float) -> float | None:
+    """Exponent as :func:`motdiff.simulate.to_linear` takes it: None is the sRGB curve."""
+    checked = parse_gamma(gamma)
+    if isinstance(checked, str):
+        return None if checked == "srgb" else 1.0
+    return checked
+
+
+def _read_picture(source: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
+    """Decode to samples (H, W) or (H, W, 3), red green blue, as the file has them; and say what was lost."""
+    decoded, damage = decode(photo_bytes(source), source)
+    warnings = tuple(f"{source}: the image is damaged in places ({line})" for line in damage)
+    if decoded.ndim == 3 and decoded.shape[2] == 4:
+        alpha = decoded[:, :, 3]
+        if alpha.min() < (1 if decoded.dtype.kind == "f" else np.iinfo(decoded.dtype).max):
+            warnings += (f"{source}: the transparency (alpha channel) was dropped",)
+        decoded = decoded[:, :, :3]
+    if decoded.ndim == 3:
+        decoded = decoded[:, :, 0] if decoded.shape[2] == 1 else decoded[:, :, ::-1]
+    return decoded, warnings
+
+
+def _checked_float(source: Path, decoded: NDArray[Any]) -> FloatArray:
+    with np.errstate(invalid="ignore"):
+        low, high = float(decoded.min()), float(decoded.max())  # either is NaN where a sample is
+    if not (np.isfinite(low) and np.isfinite(high)):
+        raise ValueError(f"{source}: {int((~np.isfinite(decoded)).sum())} samples are NaN or infinite")
+    if low < -1e-6 or high > 1 + 1e-6:
+        raise ValueError(f"{source}: samples run from {low:.4g} to {high:.4g}, scale them to 0..1")
+    pixels = np.array(decoded, dtype=np.float64, order="C")
+    return np.clip(pixels, 0, 1, out=pixels)
+
+
+def _read_mat(source: Path, variable: str) -> NDArray[Any]:
+    samples = read_mat(source, [variable])[variable]
+    if samples.ndim not in (2, 3) or samples.shape[2:] not in ((), (3,)) or not samples.size:
+        raise ValueError(f"{source}: its variable {variable} has the shape {samples.shape}, wanted (H, W) or (H, W, 3)")
+    check_px(samples.shape[1], samples.shape[0], source)
+    return samples
+
+
+def _read_raw(source: Path) -> NDArray[np.uint16]:
+    regular_file(source)  # a missing file is told before a missing package
+    try:
+        import rawpy
+    except ImportError:
+        raise ValueError(f"{source}: RAW files need a package besides: pip install rawpy") from None
+    try:
+        with decoder_output(), rawpy.imread(str(source)) as raw:
+            check_px(raw.sizes.raw_width, raw.sizes.raw_height, source)
+            return np.asarray(raw.postprocess(**_RAW_OPTIONS), dtype=np.uint16)
+    except rawpy.LibRawError as error:
+        reason = b"".join(part for part in error.args if isinstance(part, bytes)).decode(errors="replace")
+        raise ValueError(f"{source}: not a RAW file that LibRaw can read ({one_line(reason or error)})") from None

@@ -1,0 +1,1 @@
+"""Jobs made of cells: cached results, executors on processes or a Dask cluster, fingerprints of sources."""

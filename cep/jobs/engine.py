@@ -1,0 +1,164 @@
+"""Runs the cells of a benchmark, here, in processes or on a Dask cluster; each is on disk as soon as it is finished."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cep.jobs.cache import Cache
+from cep.jobs.cells import Cell, Figure, Finished, Result, fingerprints, pinned, worked
+from cep.jobs.executors import Tasks, in_processes, on_cluster
+
+__all__ = ["Outcome", "run_cells"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a benchmark.
+
+    Attributes
+    ----------
+    results : tuple of Result
+        In the order of the cells, without those that were not reached.
+    missing : int
+        Cells that were not reached, after Ctrl-C.
+    warnings : tuple of str
+    """
+
+    results: tuple[Result, ...]
+    missing: int
+    warnings: tuple[str, ...]
+
+    @property
+    def figures(self) -> dict[tuple[str, ...], Mapping[str, Figure]]:
+        """Figures by name of the cell; those of failed cells are empty."""
+        return {result.cell.name: result.finished.figures for result in self.results}
+
+    @property
+    def failures(self) -> dict[tuple[str, ...], str]:
+        """Reasons of the failed cells by name."""
+        return {result.cell.name: result.finished.failure for result in self.results if result.finished.failure}
+
+    @property
+    def machines(self) -> list[Mapping[str, Any]]:
+        """Every machine that made one of the results, the busiest first: cached ones may come from elsewhere."""
+        counts: list[tuple[int, Mapping[str, Any]]] = []
+        for result in self.results:
+            known = next((i for i, (_, one) in enumerate(counts) if one == result.finished.machine), None)
+            if known is None:
+                counts.append((1, result.finished.machine))
+            else:
+                counts[known] = (counts[known][0] + 1, counts[known][1])
+        return [one for _, one in sorted(counts, key=lambda item: -item[0])]
+
+
+def run_cells(
+    cells: Sequence[Cell],
+    *,
+    cache: Path | str,
+    workers: int = 1,
+    dask: str | None = None,
+    progress: Callable[[float, str], None] = lambda _fraction, _note: None,
+) -> Outcome:
+    """Run every cell that is not on disk already; one that raises is told of and the others go on.
+
+    Parameters
+    ----------
+    cells : sequence of Cell
+        Each with a name of its own. Those with the same work and arguments run once.
+    cache : folder of finished cells, made where it is missing, and not left behind empty by what is raised
+        Failed ones are not kept: they are tried again next time.
+    workers : int
+        Processes; 1 runs in this one.
+    dask : str, optional
+        Address of the scheduler of a cluster to run on instead; files among the arguments must be there too.
+    progress : callable, optional
+        Called with the fraction done and a note with the time left.
+
+    Returns
+    -------
+    Outcome
+        After Ctrl-C with what was finished before.
+
+    Raises
+    ------
+    ValueError
+        If a name comes twice, an argument cannot be told by its content, or no cluster answers.
+    OSError
+        If a file cannot be read or the cache cannot be written, as on a full disk; finished cells are kept.
+    RuntimeError
+        If the cluster goes away; finished cells are kept.
+    """
+    if workers < 1:
+        raise ValueError(f"workers: must be at least 1, got {workers}")
+    names = [cell.name for cell in cells]
+    if len(set(names)) < len(names):
+        twice = next(cell for cell in cells if names.count(cell.name) > 1)
+        raise ValueError(f"cells: every name must come once, {twice.label} comes twice")
+    with _no_empty_folder(Path(cache)):
+        return _run(cells, Cache(cache), workers=workers, dask=dask, progress=progress)
+
+
+def _run(
+    cells: Sequence[Cell], store: Cache, *, workers: int, dask: str | None, progress: Callable[[float, str], None]
+) -> Outcome:
+    keys = fingerprints(cells)
+    by_key = dict(zip(keys, cells, strict=True))
+    found = {key: finished for key in by_key if (finished := store.find(key)) is not None}
+    cached = frozenset(found)
+    left = {key: cell for key, cell in by_key.items() if key not in found}
+    waiting = {key: (cell.work, given) for (key, cell), given in zip(left.items(), pinned(left.values()), strict=True)}
+    began_s = time.monotonic()
+    try:
+        progress(len(found) / max(len(by_key), 1), f"{len(found)} of {len(by_key)} cells")
+        with closing(_finishing(waiting, workers=workers, dask=dask)) as stream:
+            for key, finished in stream:
+                if not finished.failure:
+                    store.keep(key, by_key[key], finished)
+                found[key] = finished
+                left_s = (time.monotonic() - began_s) / (len(found) - len(cached)) * (len(by_key) - len(found))
+                progress(
+                    len(found) / len(by_key), f"{len(found)} of {len(by_key)} cells, about {_in_words(left_s)} left"
+                )
+    except KeyboardInterrupt:
+        pass
+    results = tuple(
+        Result(cell, found[key], key in cached) for key, cell in zip(keys, cells, strict=True) if key in found
+    )
+    return Outcome(results, len(cells) - len(results), tuple(store.warnings))
+
+
+@contextmanager
+def _no_empty_folder(folder: Path) -> Iterator[None]:
+    """Remove what was not there before and is still empty, when something is raised."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        yield
+    except BaseException:
+        for path in missing:
+            try:
+                path.rmdir()
+            except OSError:  # something is in it, or it was never made
+                break
+        raise
+
+
+def _finishing(waiting: Tasks, *, workers: int, dask: str | None) -> Generator[tuple[str, Finished]]:
+    if dask is not None and waiting:
+        yield from on_cluster(waiting, dask)
+    elif workers > 1 and len(waiting) > 1:
+        yield from in_processes(waiting, workers)
+    else:
+        for key, task in waiting.items():
+            yield key, worked(*task)
+
+
+def _in_words(left_s: float) -> str:
+    for unit, size_s in (("h", 3600.0), ("min", 60.0)):
+        if left_s >= size_s:
+            return f"{left_s / size_s:.1f} {unit}"
+    return f"{left_s:.0f} s"

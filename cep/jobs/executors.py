@@ -1,0 +1,198 @@
+"""Cells spread by joblib over processes of this machine or over a Dask cluster, in the order in which they finish."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+import warnings
+from collections.abc import Callable, Generator, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
+from functools import partial
+from importlib import import_module
+from itertools import islice
+from typing import Any
+
+from joblib import Parallel, delayed, parallel_config
+from joblib._dask import DaskDistributedBackend
+from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+from cep.jobs.cells import Figure, Finished, worked
+from cep.jobs.fingerprint import all_sources
+from cep.jobs.machine import machine
+
+__all__ = ["Tasks", "in_processes", "on_cluster"]
+
+Tasks = Mapping[str, tuple[Callable[..., Mapping[str, Figure]], Mapping[str, Any]]]
+"""Functions and their arguments, by fingerprint."""
+
+_CONNECT_S = 5.0
+_WORKERS_S = 10.0
+_DIED = "its process died: not enough memory, or a crash in compiled code"
+_INSTALL = "install there what is installed here, and start it again"
+
+
+def in_processes(tasks: Tasks, workers: int) -> Generator[tuple[str, Finished]]:
+    """Yield fingerprints with what came of them, from ``workers`` processes of one inner thread each.
+
+    A cell that kills its process fails; the cells that ran beside it are run again.
+    """
+
+    def run(some: Tasks) -> Generator[tuple[str, Finished]]:
+        with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1), warnings.catch_warnings():
+            # loky starts processes anew whose memory has grown, as PyTorch's does, and says so to whoever watches
+            warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
+            yield from _spread(some, _undisturbed, pre_dispatch=2 * workers)
+
+    waiting = dict(tasks)
+    while waiting:
+        try:
+            with closing(run(waiting)) as finishing:
+                for key, finished in finishing:
+                    del waiting[key]
+                    yield key, finished
+        except TerminatedWorkerError:
+            # one of those that were handed out: each alone shows which
+            for key in list(islice(waiting, 2 * workers)):
+                task = waiting.pop(key)
+                try:
+                    yield from run({key: task})
+                except TerminatedWorkerError:
+                    yield key, Finished({}, _DIED, 0.0, machine())
+
+
+def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
+    """Yield fingerprints with what came of them, from the Dask cluster whose scheduler is at ``address``.
+
+    Dask runs the cells of a lost worker again on another one; what a worker sent counts once. Workers must have the
+    sources and weights that are here, and so must those that join later: figures are kept under the versions of these.
+    One that joins later without this program, or with one too old to be asked, is not told of, and the run waits for
+    it. Other versions of NumPy and the like may do, and are told by each result's machine.
+
+    Raises
+    ------
+    ValueError
+        If Dask is not installed, no scheduler answers, it has no workers, or one lacks this program or has another
+        state of it.
+    RuntimeError
+        If the cluster goes away, or a worker with another state of this program joins it.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ValueError("dask: a cluster needs the extra: pip install 'coded-exposure[cluster]'") from None
+    with _unlogged("distributed.client"):  # what goes wrong is told in one line, not in tracebacks of its own thread
+        try:
+            with ThreadPoolExecutor(1) as other:  # a notebook's thread has an event loop already
+                other.submit(asyncio.run, _greeting(address)).result()
+            client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+        except Exception as error:  # whatever answers there may be no scheduler: MemoryError at HTTP, among others
+            reason = " ".join(str(error).split()) or f"waited {_CONNECT_S:g} s"
+            raise ValueError(f"dask: no scheduler answers at {address}, as tcp://host:8786 would ({reason})") from None
+        with client:
+            try:
+                client.wait_for_workers(1, timeout=_WORKERS_S)
+            except TimeoutError:
+                raise ValueError(f"dask: the scheduler at {address} has no workers: dask worker {address}") from None
+            try:  # joblib would wait for ever for cells that no worker can read
+                for module in sorted({__name__, *(work.__module__ for work, _ in tasks.values())}):
+                    client.run(import_module, module)
+            except ImportError as error:
+                raise ValueError(
+                    f"dask: the workers at {address} lack this program ({error}), install it there"
+                ) from None
+            _refuse_other_sources(client)
+            try:
+                with parallel_config(_ClusterBackend(client=client)):
+                    yield from _spread(tasks, partial(_of_these_sources, all_sources()), pre_dispatch="all")
+            except Exception as error:  # cells give reasons instead of raising: this is the cluster's own
+                reason = " ".join(f"{type(error).__name__}: {error}".split())
+                raise RuntimeError(
+                    f"dask: the cluster at {address} failed ({reason}); finished cells are kept, run again to go on"
+                ) from None
+
+
+class _ClusterBackend(DaskDistributedBackend):  # type: ignore[misc]
+    """Joblib's own, without its shortcut: while one thread has come to the cluster, it would run the cells here."""
+
+    def effective_n_jobs(self, n_jobs: int = -1) -> int:
+        return max(2, int(super().effective_n_jobs(n_jobs)))
+
+
+async def _greeting(address: str) -> None:
+    """Greet a scheduler and leave: Client would wait for ever where somebody listens but never answers."""
+    from distributed import Security
+    from distributed.comm import connect
+
+    async with asyncio.timeout(_CONNECT_S):
+        connection = await connect(address, timeout=_CONNECT_S, **Security().get_connection_args("client"))
+        await connection.close()
+
+
+def _refuse_other_sources(client: Any) -> None:
+    states = client.run(all_sources, on_error="return")
+    # OSError: a worker that was lost meanwhile says nothing of its sources; an older state lacks the function
+    told = {worker: state for worker, state in states.items() if not isinstance(state, OSError)}
+    if others := sorted(worker for worker, state in told.items() if state != all_sources()):
+        raise ValueError(
+            f"dask: the worker at {others[0]} has another state of this program ({len(others)} of {len(states)} "
+            f"workers): {_INSTALL}"
+        )
+
+
+def _spread(
+    tasks: Tasks, call: Callable[..., tuple[str, Finished]], *, pre_dispatch: int | str
+) -> Generator[tuple[str, Finished]]:
+    """Run the tasks with joblib's backend of the moment, each a batch of its own: none waits for another to be kept."""
+    # arguments go as one dict: joblib would put each large array on a single Dask worker, and it would die with it;
+    # nor are they mapped into files, which fill /dev/shm and are read-only
+    parallel = Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=pre_dispatch, max_nbytes=None)
+    calls = [delayed(call)(key, *task) for key, task in tasks.items()]
+    with _dropped(parallel(calls)) as finishing:
+        for item in finishing:  # noqa: UP028 - "yield from" would close the stream before _dropped can
+            yield item
+
+
+def _one(key: str, work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, Any]) -> tuple[str, Finished]:
+    return key, worked(work, arguments)
+
+
+def _of_these_sources(
+    sources: str, key: str, work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, Any]
+) -> tuple[str, Finished]:
+    """Refuse on a worker that joined after all were asked; what is raised here ends the run."""
+    if all_sources() != sources:
+        from distributed import get_worker
+
+        raise RuntimeError(f"the worker at {get_worker().address} has another state of this program: {_INSTALL}")
+    return _one(key, work, arguments)
+
+
+def _undisturbed(
+    key: str, work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, Any]
+) -> tuple[str, Finished]:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C here too; joblib ends this process
+    return _one(key, work, arguments)
+
+
+@contextmanager
+def _dropped(stream: Generator[Any]) -> Iterator[Generator[Any]]:
+    """Close a stream; joblib's warning that cells were dropped tells whoever stops nothing new."""
+    try:
+        yield stream
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            stream.close()
+
+
+@contextmanager
+def _unlogged(name: str) -> Iterator[None]:
+    logger = logging.getLogger(name)
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)

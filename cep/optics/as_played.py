@@ -1,0 +1,61 @@
+"""The blur that a recorded shutter really made: the chips it played, by the clock it played them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.optics.response import ShutterResponse
+from hw.recordings.playback import Verification
+from motdiff.psf_frame import PSF_PX
+from motdiff.trajectory import Trajectory
+
+__all__ = ["achieved_code", "achieved_psf"]
+
+FloatArray = NDArray[np.float64]
+
+
+def achieved_code(played: Verification, *, chip_ns: int) -> ShutterCode:
+    """Return the code that was played, with chips as long as they really were, to the nanosecond.
+
+    Parameters
+    ----------
+    played : Verification
+    chip_ns : int
+        Chip time asked for, ns.
+
+    Raises
+    ------
+    ValueError
+        If no chip was open.
+    """
+    return ShutterCode(played.achieved, max(1, round(chip_ns * (1 + played.scale_ppm * 1e-6))))
+
+
+def achieved_psf(trajectory: Trajectory, played: Verification, *, chip_ns: int, size: int = PSF_PX) -> FloatArray:
+    """Blur of the code that was played, (size, size), light-true: it sums to the open part of the exposure asked for.
+
+    The motion goes on by its own time: a shutter with a slow clock plays the same chips over more of it. Openings that
+    were longer than the clock says count as closing late.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Motion over the exposure that was asked for.
+    played : Verification
+    chip_ns : int
+        Chip time asked for, ns.
+    size : int
+
+    Raises
+    ------
+    ValueError
+        If no chip was open, or the clock was so slow that the motion is not known for as long.
+    """
+    code = ShutterCode(played.achieved, chip_ns)
+    edges = np.linspace(0, 1 + played.scale_ppm * 1e-6, code.chips + 1)
+    late_ns = min(max(played.widening_ns, 0.0), 0.9 * chip_ns)
+    response = ShutterResponse(chip_ns=chip_ns, on_bias_ns=late_ns) if late_ns else None
+    return coded_psf(trajectory, code, size=size, edges=edges, response=response)

@@ -1,0 +1,145 @@
+"""When a code is really played: chip edges off their time, and the motion beyond the known exposure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.optics.code import ShutterCode
+from cep.optics.response import ShutterResponse
+from motdiff.trajectory import Trajectory
+
+__all__ = ["FARTHEST", "Timeline", "check_lengths", "checked_edges", "extended", "timeline"]
+
+FloatArray = NDArray[np.float64]
+FARTHEST = 0.5
+"""How far before and after the exposure a code may be played, as a fraction of it: nothing is known there."""
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """A played exposure cut at every sample of the path, chip edge, and step of the shutter's ramps.
+
+    Attributes
+    ----------
+    t, xy : (T,), (T, 2) float
+        The path, extended as far as the code is played.
+    u : (S + 1,) float
+        Cuts, as a fraction of the exposure.
+    dt, a, b : (S,), (S, 2), (S, 2) float
+        Durations, starts and ends of the pieces.
+    chip : (S,) int
+        Chip that each piece belongs to; n follows the last one.
+    opening, closing : (S,) float
+        Transmission if the shutter began to open, and to close, as the chip began.
+    """
+
+    t: FloatArray
+    xy: FloatArray
+    u: FloatArray
+    dt: FloatArray
+    a: FloatArray
+    b: FloatArray
+    chip: NDArray[np.intp]
+    opening: FloatArray
+    closing: FloatArray
+
+    def transmission(self, code: ShutterCode) -> FloatArray:
+        """Transmission (S,) of the shutter under a code, closed before and after it."""
+        chips = np.concatenate([[0.0], code.array, [0.0]])
+        before, now = chips[self.chip], chips[self.chip + 1]
+        return np.where(now > 0, np.where(before > 0, 1.0, self.opening), np.where(before > 0, self.closing, 0.0))
+
+    def frame_size(self) -> int:
+        """Smallest PSF frame, px, that holds what is played (zero displacement at index ``size // 2``)."""
+        points = np.concatenate([self.a, self.b[-1:]])
+        low, high = np.floor(points.min()), np.floor(points.max()) + 1
+        return int(max(-2 * low, 2 * high + 1))
+
+
+def checked_edges(edges: ArrayLike | None, chips: int) -> FloatArray:
+    """Chip edges (n + 1,) as fractions of the exposure, evenly spread when None.
+
+    Raises
+    ------
+    ValueError
+        If there are not n + 1 of them, increasing, and no farther than :data:`FARTHEST` outside the exposure.
+    """
+    if chips < 1:
+        raise ValueError(f"chips: must be at least 1, got {chips}")
+    if edges is None:
+        return np.linspace(0, 1, chips + 1)
+    cuts = np.asarray(edges, dtype=np.float64)
+    if cuts.shape != (chips + 1,):
+        raise ValueError(f"edges: {chips} chips need {chips + 1} edges, got shape {cuts.shape}")
+    if not (np.isfinite(cuts).all() and (np.diff(cuts) > 0).all()):
+        raise ValueError("edges: must be finite and strictly increasing")
+    if cuts[0] < -FARTHEST or cuts[-1] > 1 + FARTHEST:
+        raise ValueError(
+            f"edges: must lie within {-FARTHEST:g}..{1 + FARTHEST:g} exposures, got {cuts[0]:g}..{cuts[-1]:g}"
+        )
+    return cuts
+
+
+def check_lengths(edges: FloatArray, response: ShutterResponse) -> None:
+    """Refuse edges (n + 1,) that leave a chip no time to open or close: a ValueError says how much there is."""
+    slowest = max(response.opening_ns, response.closing_ns)
+    shortest_ns = float(np.diff(edges).min()) * (len(edges) - 1) * response.chip_ns
+    if slowest > shortest_ns * (1 + 1e-9):
+        raise ValueError(
+            f"response: opening or closing takes {slowest:g} ns, "
+            f"but the shortest chip of these edges lasts {shortest_ns:g} ns"
+        )
+
+
+def extended(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
+    """Continue a path by one exposure either way, ``p(1 + d) = 2 p(1) - p(1 - d)``: (T',) times and (T', 2) px.
+
+    The last stretch of the motion is repeated, turned by 180 degrees: velocity and speed go on without a jump, a
+    uniform straight motion simply goes on, and one noisy last sample cannot throw the path far away as its velocity
+    alone could. The camera counts as open for as long as the code is played.
+    """
+    t, xy = trajectory.t, trajectory.xy
+    times = np.concatenate([-t[:0:-1], t, 2 - t[-2::-1]])
+    return times, np.concatenate([2 * xy[0] - xy[:0:-1], xy, 2 * xy[-1] - xy[-2::-1]])
+
+
+def timeline(
+    trajectory: Trajectory, edges: FloatArray, response: ShutterResponse | None, *, code: ShutterCode | None = None
+) -> Timeline:
+    """Cut a played exposure into pieces of constant velocity and transmission.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    edges : (n + 1,) float
+        As :func:`checked_edges` returns them.
+    response : ShutterResponse, optional
+    code : ShutterCode, optional
+        Only its own transitions are cut then; every possible one when omitted.
+
+    Raises
+    ------
+    ValueError
+        If a chip is shorter than the shutter takes to open or close.
+    """
+    chips = len(edges) - 1
+    shutter = response or ShutterResponse(chip_ns=1.0)
+    check_lengths(edges, shutter)
+    bits = None if code is None else np.concatenate([[0.0], code.array, [0.0]])
+    opens, closes = (np.ones(chips + 1, dtype=bool),) * 2 if bits is None else (np.diff(bits) > 0, np.diff(bits) < 0)
+    ramps = [
+        (edges[opens, None] + shutter.opening_cuts / chips).ravel(),
+        (edges[closes, None] + shutter.closing_cuts / chips).ravel(),
+    ]
+    cuts = np.unique(np.concatenate([edges, *ramps]))
+    cuts = cuts[cuts <= (edges[-1] + shutter.closing_cuts / chips).max()]
+    t, xy = extended(trajectory)
+    u = np.union1d(t[(t > cuts[0]) & (t < cuts[-1])], cuts)
+    points = np.stack([np.interp(u, t, xy[:, axis]) for axis in (0, 1)], axis=-1)
+    middle = 0.5 * (u[1:] + u[:-1])
+    chip = np.searchsorted(edges, middle, side="right") - 1
+    after = (middle - edges[chip]) * chips
+    return Timeline(t, xy, u, np.diff(u), points[:-1], points[1:], chip, shutter.opening(after), shutter.closing(after))

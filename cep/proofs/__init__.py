@@ -1,0 +1,1 @@
+"""Proofs about codes: certified minima, their independent check, and audits of any code."""

@@ -1,0 +1,251 @@
+"""A second look at a code: where its zeros are, which grids hide them, and which codes a few flips away are better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.compiled import compiled
+from cep.optics.band import band, band_samples
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import chip_basis, coded_otf
+from cep.proofs.certify.minimum import min_chip, mtf_minimum
+from cep.proofs.certify.zeros import Zeros, zeros_along, zeros_of_code
+from motdiff.trajectory import Trajectory
+
+__all__ = [
+    "GridClaim",
+    "Neighbour",
+    "better_neighbours",
+    "grid_claims",
+    "null_threshold",
+    "zeros_by_direction",
+]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_REFINED = 24  # candidates of the grid whose minimum over the continuum is found
+_WORTH = 1.001  # a neighbour must be better by more than rounding
+_HONEST = 1.05  # a grid's value within 5 % of the truth
+_NO_ZERO = 1e-6  # of DC: a neighbour whose minimum is no larger is no repair
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """A code a few flips away.
+
+    Attributes
+    ----------
+    flips : tuple of int
+        Chips that differ, counted from 1.
+    code : ShutterCode
+    minimum : float
+        Its minimum over the continuum: |P| in chips, or |H| along the trajectory.
+    """
+
+    flips: tuple[int, ...]
+    code: ShutterCode
+    minimum: float
+
+
+@dataclass(frozen=True)
+class GridClaim:
+    """What a frequency grid says of a code's minimum.
+
+    Attributes
+    ----------
+    name : str
+    points : int
+        Along one axis.
+    minimum : float
+        Smallest modulus on the grid.
+    verdict : str
+        "honest", "overstates" by more than 5 %, or "hides the zero".
+    """
+
+    name: str
+    points: int
+    minimum: float
+    verdict: str
+
+
+def null_threshold(code: ShutterCode, trajectory: Trajectory | None) -> float:
+    """Minimum below which a code has, for every practical purpose, a zero: a ten-thousandth of its DC."""
+    return 1e-4 * (code.open_chips if trajectory is None else code.duty)
+
+
+def zeros_by_direction(code: ShutterCode, trajectory: Trajectory | None) -> dict[str, Zeros]:
+    """List the true zeros of each direction that counts; "both" where the directions have the same."""
+    if trajectory is None:
+        return {"both": zeros_of_code(code.bits)}
+    if trajectory.direction == "known":
+        return {"forward": zeros_along(trajectory, code)}
+    return {"forward": zeros_along(trajectory, code), "backward": zeros_along(trajectory.reversed(), code)}
+
+
+def grid_claims(code: ShutterCode, trajectory: Trajectory | None, truth: float) -> tuple[GridClaim, ...]:
+    """Compare what common grids say with the true minimum.
+
+    Parameters
+    ----------
+    code : ShutterCode
+    trajectory : Trajectory, optional
+        Chip units when omitted: the DFT of the bits, padded with zeros.
+    truth : float
+        Minimum over the continuum.
+    """
+    claims = []
+    if trajectory is None:
+        n = code.chips
+        for points, name in {n: "n", 2 * n: "2n", 3 * n: "3n", 64: "64", 16 * n: "16n"}.items():
+            if points >= n:
+                lowest = float(np.abs(np.fft.rfft(code.array, points)).min())
+                claims.append(GridClaim(f"{name}-point DFT", points, lowest, _verdict(lowest, truth, code.open_chips)))
+        return tuple(sorted(claims, key=lambda claim: claim.points))
+    paths = [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
+    for points in (32, 64, 128, 256):
+        fx, fy = band(points)
+        half = fy <= 0  # |H| is even
+        lowest = min(float(np.abs(coded_otf(path, code, fx[half], fy[half])).min()) for path in paths)
+        claims.append(GridClaim(f"{points} x {points} FFT", points, lowest, _verdict(lowest, truth, code.duty)))
+    return tuple(claims)
+
+
+def better_neighbours(
+    code: ShutterCode, trajectory: Trajectory | None = None, *, flips: int = 2, keep: int = 1
+) -> tuple[Neighbour, ...]:
+    """Find, for each number of flips up to ``flips``, the best codes that beat this one's minimum.
+
+    Every combination is looked at on a grid of frequencies, up to the first at which it is no better than this code;
+    the minima of the best ones are then found over the continuum.
+
+    Parameters
+    ----------
+    code : ShutterCode
+    trajectory : Trajectory, optional
+        Where the minimum counts; an unknown direction counts as the worse one. Chip units when omitted.
+    flips : int
+        Most chips changed, up to 3.
+    keep : int
+        Codes returned per number of flips.
+
+    Returns
+    -------
+    tuple of Neighbour, fewest flips first, better ones first within; empty when no neighbour is better.
+
+    Raises
+    ------
+    ValueError
+        If ``flips`` is not 0 to 3.
+    """
+    if not 0 <= flips <= 3:
+        raise ValueError(f"flips: must be 0 to 3, got {flips}")
+    basis = _basis(code.chips, trajectory)
+    chips = code.array
+    spectrum = chips @ basis
+    order = np.argsort(np.abs(spectrum))
+    re, im = np.ascontiguousarray(basis[:, order].real), np.ascontiguousarray(basis[:, order].imag)
+    change = 1 - 2 * chips
+    worth = max(_WORTH * _exact(code, trajectory), _NO_ZERO * (code.open_chips if trajectory is None else code.duty))
+    found: list[Neighbour] = []
+    for count in range(1, min(flips, code.chips) + 1):
+        scores, places = np.full(_REFINED, worth**2), np.full((_REFINED, 3), -1, dtype=np.int64)
+        start_re, start_im = chips @ re, chips @ im
+        _scan(re * change[:, None], im * change[:, None], start_re, start_im, count, scores, places)
+        candidates = [tuple(int(k) for k in row[:count]) for row in places if row[0] >= 0]
+        exact = []
+        for chosen in candidates:
+            neighbour = _flipped(code, chosen)
+            if neighbour is not None:
+                exact.append(Neighbour(tuple(k + 1 for k in chosen), neighbour, _exact(neighbour, trajectory)))
+        exact.sort(key=lambda n: n.minimum, reverse=True)
+        found.extend(n for n in exact[:keep] if n.minimum > worth)
+    return tuple(found)
+
+
+def _basis(chips: int, trajectory: Trajectory | None) -> ComplexArray:
+    """Spectra (n, F) of single chips, the directions that count side by side."""
+    if trajectory is None:
+        cycles = np.linspace(0, 0.5, (8 if chips <= 256 else 4) * chips + 1)
+        return np.asarray(np.exp(-2j * np.pi * np.arange(chips)[:, None] * cycles))
+    samples = band_samples(trajectory, oversampling=8)
+    forward = chip_basis(trajectory, chips, samples.fx, samples.fy)
+    # the reversed path draws the same chips in the opposite order
+    return forward if trajectory.direction == "known" else np.concatenate([forward, forward[::-1]], axis=1)
+
+
+@compiled
+def _scan(
+    re: FloatArray,
+    im: FloatArray,
+    start_re: FloatArray,
+    start_im: FloatArray,
+    count: int,
+    scores: FloatArray,
+    places: NDArray[np.int64],
+) -> None:
+    """Keep the combinations of ``count`` rows whose sum with the start has the largest smallest power.
+
+    ``scores`` are ascending and hold what must be beaten; ``places`` the rows.
+    """
+    chips, size = re.shape
+    two_re, two_im = np.empty(size), np.empty(size)
+    killer = 0
+    for i in range(chips if count > 2 else 1):
+        for j in range(i + 1 if count > 2 else 0, chips if count > 1 else 1):
+            for f in range(size):
+                two_re[f], two_im[f] = start_re[f], start_im[f]
+                if count > 2:
+                    two_re[f] += re[i, f]
+                    two_im[f] += im[i, f]
+                if count > 1:
+                    two_re[f] += re[j, f]
+                    two_im[f] += im[j, f]
+            for k in range(j + 1 if count > 1 else 0, chips):
+                # the frequency that refused the last one often refuses this one too
+                a, b = two_re[killer] + re[k, killer], two_im[killer] + im[k, killer]
+                lowest = a * a + b * b
+                f = 0
+                while f < size and lowest > scores[0]:
+                    a, b = two_re[f] + re[k, f], two_im[f] + im[k, f]
+                    power = a * a + b * b
+                    if power < lowest:
+                        lowest = power
+                        if power <= scores[0]:
+                            killer = f
+                    f += 1
+                if lowest > scores[0]:
+                    at = 0
+                    while at + 1 < scores.size and scores[at + 1] < lowest:
+                        scores[at] = scores[at + 1]
+                        places[at] = places[at + 1]
+                        at += 1
+                    scores[at] = lowest
+                    if count == 3:
+                        places[at, 0], places[at, 1], places[at, 2] = i, j, k
+                    elif count == 2:
+                        places[at, 0], places[at, 1] = j, k
+                    else:
+                        places[at, 0] = k
+
+
+def _flipped(code: ShutterCode, places: tuple[int, ...]) -> ShutterCode | None:
+    chips = code.array
+    chips[list(places)] = 1 - chips[list(places)]
+    return ShutterCode.from_array(chips, chip_ns=code.chip_ns) if chips.any() else None
+
+
+def _exact(code: ShutterCode, trajectory: Trajectory | None) -> float:
+    if trajectory is None:
+        return min_chip(code)
+    paths = [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
+    return min(mtf_minimum(path, code, budget=0).upper for path in paths)
+
+
+def _verdict(lowest: float, truth: float, dc: float) -> str:
+    if truth <= _NO_ZERO * dc:
+        return "honest" if lowest <= 1e-4 * dc else "hides the zero"
+    return "honest" if lowest <= _HONEST * truth else "overstates"

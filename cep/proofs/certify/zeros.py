@@ -1,0 +1,255 @@
+"""True zeros of a code, proven: exactly on the unit circle, by the Newton-Kantorovich theorem along a curved path."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from math import ceil, gcd
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.optics.band import in_band, straight_axis, uniform_length_px
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import open_path
+from cep.proofs.certify.polynomial import circle_rest, sign_changes, vanishing_orders
+from cep.proofs.certify.taylor import Pieces, first_cells, floors, jets, pieces_of_path
+from motdiff.trajectory import Trajectory
+
+__all__ = ["Zero", "Zeros", "kantorovich", "zeros_along", "zeros_of_code"]
+
+FloatArray = NDArray[np.float64]
+_NEWTON, _TRIED = 8, 2000
+
+
+@dataclass(frozen=True)
+class Zero:
+    """A frequency at which H is exactly zero, with what proves it.
+
+    Attributes
+    ----------
+    at : tuple of float
+        Cycles per chip, or (fx, fy) in cycles/px: the zero lies within ``radius`` of it.
+    kind : str
+        "root of unity", "sign change", "closed form" (of a straight motion's chip) or "kantorovich".
+    radius : float
+        0 for a root of unity at the fraction ``at`` rounded.
+    alone_within : float
+        No other zero lies this close; 0 where nothing is said.
+    order : int
+        Of the root of unity, else 0.
+    factor : tuple of int
+        "sign change": the self-reciprocal factor of the code's polynomial that changes sign, lowest degree first.
+    """
+
+    at: tuple[float, ...]
+    kind: str
+    radius: float = 0.0
+    alone_within: float = 0.0
+    order: int = 0
+    factor: tuple[int, ...] = ()
+
+    @property
+    def method(self) -> str:
+        """What a certificate calls it."""
+        return f"root of unity of order {self.order}" if self.order else f"zero proven ({self.kind})"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Zero:
+        """Read :meth:`to_dict` back; unknown fields are ignored."""
+        return cls(
+            at=tuple(float(value) for value in data["at"]),
+            kind=str(data["kind"]),
+            radius=float(data.get("radius", 0.0)),
+            alone_within=float(data.get("alone_within", 0.0)),
+            order=int(data.get("order", 0)),
+            factor=tuple(int(value) for value in data.get("factor", ())),
+        )
+
+
+@dataclass(frozen=True)
+class Zeros:
+    """Proven zeros.
+
+    Attributes
+    ----------
+    found : tuple of Zero
+        One of each pair f, -f; in order of frequency.
+    complete : bool
+        Whether it is proven that there are no others.
+    """
+
+    found: tuple[Zero, ...]
+    complete: bool
+
+
+@lru_cache(maxsize=256)
+def zeros_of_code(bits: str) -> Zeros:
+    """All zeros of a code's polynomial on the unit circle, 0..1/2 cycles per chip, in exact arithmetic.
+
+    Examples
+    --------
+    >>> [(zero.at, zero.order) for zero in zeros_of_code("111").found]
+    [((0.3333333333333333,), 3)]
+    >>> zeros_of_code("1101").found
+    ()
+    """
+    chips = np.array([int(bit) for bit in bits.strip("0")], dtype=np.int64)
+    found = [
+        Zero((turn / order,), "root of unity", order=order)
+        for order in vanishing_orders(chips)
+        for turn in range(1, order // 2 + 1)
+        if gcd(turn, order) == 1
+    ]
+    rest = circle_rest(chips)
+    if rest is None:
+        return Zeros(tuple(sorted(found, key=lambda zero: zero.at)), complete=False)
+    changes, complete = sign_changes(rest)
+    factor = tuple(int(value) for value in rest)
+    found += [Zero((change.at,), "sign change", change.radius, factor=factor) for change in changes]
+    return Zeros(tuple(sorted(found, key=lambda zero: zero.at)), complete)
+
+
+def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_000) -> Zeros:
+    """All zeros of H in the band along a trajectory taken as given, fy >= 0.
+
+    Every cell of a subdivision either keeps away from zero, or lies within the ball in which the Newton-Kantorovich
+    theorem allows one zero only. A straight motion's zeros are lines across it: their points on its axis are listed.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    code : ShutterCode
+    budget : int
+        Cells looked at before giving up the claim to be complete.
+    """
+    if uniform_length_px(trajectory) is not None:
+        return _straight_zeros(trajectory, code)
+    if straight_axis(trajectory) is not None:
+        return Zeros((), complete=False)
+    pieces = pieces_of_path(open_path(trajectory, code))
+    cells, half = first_cells(pieces)
+    found: list[Zero] = []
+    complete = True
+    while len(cells):
+        if len(cells) > budget:
+            # no time for all: the ones that are reached from somewhere else
+            tried = _newton(pieces, cells[:: max(1, len(cells) // _TRIED)])
+            found = _joined(found, [zero for zero in tried if _place_in(pieces.box, zero)])
+            complete = False
+            break
+        budget -= len(cells)
+        jet = jets(pieces, cells)
+        keep = floors(pieces, jet, half) <= 0
+        cells, jet = cells[keep], jet[keep]
+        _, alone = _radii(pieces, jet)
+        settled = alone > float(np.hypot(*half))
+        proven = [(zero, _place_in(pieces.box, zero)) for zero in _newton(pieces, cells[settled])]
+        complete &= len(proven) == settled.sum() and all(inside is not None for _, inside in proven)
+        found = _joined(found, [zero for zero, inside in proven if inside])
+        half = half / 2
+        corners = half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+        cells = (cells[~settled][:, None] + corners).reshape(-1, 2)
+    return Zeros(tuple(sorted(found, key=lambda zero: zero.at)), complete)
+
+
+def kantorovich(pieces: Pieces, point: FloatArray) -> Zero | None:
+    """Prove a zero of H beside a refined point (2,), within the box of frequencies; None where that fails.
+
+    References
+    ----------
+    Ortega, "The Newton-Kantorovich theorem", American Mathematical Monthly 75, 1968: with the Jacobian J at the point,
+    a Lipschitz constant L of the derivative, ``eta = |J^-1 H|`` and ``h = |J^-1| L eta <= 1/2``, a zero lies within
+    ``(1 - sqrt(1 - 2 h)) / (|J^-1| L)`` and no other within ``(1 + sqrt(1 - 2 h)) / (|J^-1| L)``.
+    """
+    zero = next(iter(_newton(pieces, point[None])), None)
+    return zero if zero is not None and _place_in(pieces.box, zero) else None
+
+
+def _radii(pieces: Pieces, jet: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Radii (F,) within which a zero lies, infinite where none is proven, and within which it is the only one."""
+    lipschitz = 4 * np.pi**2 * float(np.linalg.eigvalsh(pieces.moment)[-1])
+    residual = np.hypot(jet[:, 0], jet[:, 1]) + pieces.slack
+    # smallest singular value of the 2 x 2 Jacobian, less what rounding may have added
+    squares = (jet[:, 2:] ** 2).sum(axis=1)
+    determinant = np.abs(jet[:, 2] * jet[:, 5] - jet[:, 3] * jet[:, 4])
+    largest = np.sqrt((squares + np.sqrt(np.maximum(squares**2 - 4 * determinant**2, 0))) / 2)
+    smallest = determinant / np.maximum(largest, 1e-300) - 4 * pieces.gradient_slack - 1e-12 * largest
+    smallest = np.maximum(smallest, 1e-100)
+    h = lipschitz * residual / smallest**2
+    root = np.sqrt(np.maximum(1 - 2 * h, 0))
+    # (1 - root) / (K) with K = lipschitz / smallest, written without cancellation
+    near = np.where(h <= 0.49, 2 * residual / (smallest * (1 + root)), np.inf)
+    return near, np.where(h <= 0.49, (1 + root) * smallest / lipschitz, 0.0)
+
+
+def _newton(pieces: Pieces, points: FloatArray) -> list[Zero]:
+    """Zeros that Newton's iteration reaches from (F, 2) points and the theorem proves."""
+    if not len(points):
+        return []
+    points = points.copy()
+    for _ in range(_NEWTON):
+        jet = jets(pieces, points)
+        determinant = jet[:, 2] * jet[:, 5] - jet[:, 3] * jet[:, 4]
+        determinant = np.where(determinant == 0, np.inf, determinant)
+        points[:, 0] -= (jet[:, 5] * jet[:, 0] - jet[:, 4] * jet[:, 1]) / determinant
+        points[:, 1] -= (jet[:, 2] * jet[:, 1] - jet[:, 3] * jet[:, 0]) / determinant
+        np.clip(points, -1, 1, out=points)
+    near, alone = _radii(pieces, jets(pieces, points))
+    return [
+        Zero((float(f[0]), float(f[1])), "kantorovich", float(r), float(a))
+        for f, r, a in zip(points, near, alone, strict=True)
+        if np.isfinite(r)
+    ]
+
+
+def _place_in(box: FloatArray, zero: Zero) -> bool | None:
+    """Whether the zero lies in the box, mirrored at the origin; None where it is too close to the edge to tell."""
+    edge = float((0.5 - np.abs(np.array(zero.at))).min())
+    if abs(edge) <= zero.radius:
+        return None
+    # just below fy = 0 lies the mirror image of a zero just above
+    return edge > 0 and zero.at[1] >= box[1, 0] - max(zero.alone_within, zero.radius)
+
+
+def _joined(found: list[Zero], more: list[Zero]) -> list[Zero]:
+    for zero in more:
+        if not any(_same(zero, other) for other in found):
+            found = [*found, zero]
+    return found
+
+
+def _same(one: Zero, other: Zero) -> bool:
+    a, b = np.array(one.at), np.array(other.at)
+    alone = max(one.alone_within, other.alone_within)
+    return bool(min(np.linalg.norm(a - b), np.linalg.norm(a + b)) < alone)
+
+
+def _straight_zeros(trajectory: Trajectory, code: ShutterCode) -> Zeros:
+    """|H| is |sinc(s) P(s)| / n along the axis, s in cycles per chip."""
+    axis, length_px = straight_axis(trajectory), uniform_length_px(trajectory)
+    assert axis is not None
+    assert length_px is not None
+    per_chip = code.chips / length_px
+    reach = 0.5 * float(np.abs(axis).sum()) / per_chip
+    of_code = zeros_of_code(code.bits)
+    found: dict[float, Zero] = {}
+    for whole in range(ceil(reach) + 1):
+        turns = [(float(whole), Zero((), "closed form"))]
+        turns += [(whole + sign * zero.at[0], zero) for zero in of_code.found for sign in (1, -1)]
+        # half a cycle is its own mirror image
+        found |= {round(turn, 12): zero for turn, zero in turns if 0 < turn <= reach}
+    listed = []
+    for turn, zero in sorted(found.items()):
+        listed.append(
+            Zero(
+                in_band(turn * per_chip, axis), zero.kind, zero.radius * per_chip, order=zero.order, factor=zero.factor
+            )
+        )
+    return Zeros(tuple(listed), of_code.complete)

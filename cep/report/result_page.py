@@ -1,0 +1,143 @@
+"""The HTML report: one self-contained file, pictures inside, no script and no request to anywhere."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cep.io.formatting import number
+from cep.io.outputs import write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Picture", "Report", "Section", "Table", "html", "picture", "write_report"]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture in a report.
+
+    Attributes
+    ----------
+    png : bytes
+    caption : str
+        What it shows, and how to read it.
+    alt : str
+        What it shows, for readers who cannot see it.
+    name : str
+        Of a file of its own, without suffix; none when empty.
+    """
+
+    png: bytes
+    caption: str
+    alt: str
+    name: str = ""
+
+    @property
+    def data_uri(self) -> str:
+        """The picture as an address that holds all of it."""
+        return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table in a report.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        Headings with units; the first column names the row.
+    rows : tuple of tuple
+        Cells: text, or numbers (printed to four digits); None is a dash.
+    highlight : int, optional
+        Index of the row that this report is about.
+    note : str
+        What the columns mean.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[object, ...], ...]
+    highlight: int | None = None
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(f"rows: need {len(self.columns)} cells, found {len(row)} in {row[:1]}")
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of a report: text, then tables, then pictures, then what the reader is warned of."""
+
+    title: str
+    paragraphs: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Report:
+    """A report.
+
+    Attributes
+    ----------
+    title : str
+    summary : str
+        The result in one or two sentences.
+    facts : tuple of (name, value)
+        The figures a reader looks for first.
+    sections : tuple of Section
+    colophon : str
+        Versions, seed, command: how to make it again.
+    """
+
+    title: str
+    summary: str
+    facts: tuple[tuple[str, str], ...] = ()
+    sections: tuple[Section, ...] = ()
+    colophon: str = ""
+
+
+def picture(figure: Figure, caption: str, alt: str, *, name: str = "") -> Picture:
+    """Render a matplotlib figure for a report."""
+    from cep.plots import png_bytes
+
+    return Picture(png_bytes(figure), caption, alt, name)
+
+
+def html(report: Report) -> str:
+    """Render a report as one HTML page; every text in it is escaped."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["cell"] = _cell
+    source = (resources.files("cep.report") / "templates" / "report.html.j2").read_text(encoding="utf-8")
+    return environment.from_string(source).render(report=report)
+
+
+def write_report(path: Path | str, report: Report) -> None:
+    """Write a report, whole or not at all.
+
+    Parameters
+    ----------
+    path : path of the HTML file
+    report : Report
+    """
+    write_text(path, html(report))
+
+
+def _cell(value: object) -> str:
+    if value is None or (isinstance(value, float) and value != value):
+        return "–"
+    if isinstance(value, float):
+        return number(value).replace("-", "−")
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return ", ".join(_cell(item) for item in value)
+    return str(value)

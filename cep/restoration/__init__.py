@@ -1,0 +1,26 @@
+"""Restoration of blurred and coded photos: inverse, Wiener, TV, L0, a denoiser; real borders; the direction test."""
+
+from cep.restoration.direction import DirectionResult, compare_psfs, detect_direction
+from cep.restoration.inverse import inverse_filter
+from cep.restoration.l0 import l0, tv_less_ringing
+from cep.restoration.methods import METHODS, Restoration, misfit, restore, saturated
+from cep.restoration.pnp import pnp
+from cep.restoration.tv import tv
+from cep.restoration.wiener import wiener
+
+__all__ = [
+    "METHODS",
+    "DirectionResult",
+    "Restoration",
+    "compare_psfs",
+    "detect_direction",
+    "inverse_filter",
+    "l0",
+    "misfit",
+    "pnp",
+    "restore",
+    "saturated",
+    "tv",
+    "tv_less_ringing",
+    "wiener",
+]

@@ -1,0 +1,75 @@
+"""The denoiser's weights file, float16, and the denoiser itself as a function on arrays."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors.torch import save
+from torch import Tensor
+
+from cep.restoration.denoiser.network import DenoisingNetwork
+from motdiff.io.outputs import write_bytes
+from motdiff.weights_io import fill, halved, read_header
+
+__all__ = ["SCHEMA", "SHIPPED", "load_denoiser", "read_card", "write_weights"]
+
+FloatArray = NDArray[np.float64]
+SCHEMA = "cep.denoiser/1"
+SHIPPED = Path(__file__).with_name("denoiser.safetensors")
+"""The weights in the package."""
+
+
+def write_weights(state: Mapping[str, Tensor], target: Path | str, *, about: Mapping[str, Any]) -> int:
+    """Write a network's weights as float16, with a JSON card in the header; returns the bytes.
+
+    Raises
+    ------
+    ValueError
+        If float16 cannot hold them.
+    """
+    data = save(halved(state, source=target), {SCHEMA: json.dumps(about)})
+    write_bytes(Path(target), data)
+    return len(data)
+
+
+def read_card(path: Path | str = SHIPPED) -> dict[str, Any]:
+    """Read the header of a weights file: ``steps``, ``seconds`` and ``settings`` of its training.
+
+    Raises
+    ------
+    ValueError
+        If the file is not one of ours.
+    """
+    header = read_header(path)
+    if SCHEMA not in header:
+        raise ValueError(f"{path}: is no {SCHEMA} file, its header has {', '.join(sorted(header)) or 'nothing'}")
+    card: dict[str, Any] = json.loads(header[SCHEMA])
+    return card
+
+
+def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], FloatArray]:
+    """Return a weights file's denoiser: a function of an (H, W) image in linear light and its noise's sigma.
+
+    Levels above those it was trained for are the same to it as a darker photo, see :class:`DenoisingNetwork`.
+
+    Raises
+    ------
+    ValueError
+        If the file is not one of ours.
+    """
+    read_card(path)
+    network = DenoisingNetwork()
+    fill(network, path)
+
+    def denoised(image: FloatArray, sigma: float) -> FloatArray:
+        with torch.inference_mode():
+            found = network(torch.from_numpy(image[None, None]).float(), torch.tensor([float(sigma)]))
+        return np.asarray(found[0, 0].numpy(), dtype=np.float64)
+
+    return denoised

@@ -1,0 +1,76 @@
+"""DNF: the code of least deconvolution noise for a straight blur of the path's length, its direction ignored.
+
+The deconvolution noise factor of a code is ``sqrt(mean(max|H|^2 / |H|^2))``; since |H| is largest at frequency 0, it is
+the noise of the inverse filter relative to the light that came through. A single open chip has the least there is, 1,
+whatever the light it loses: among codes of different light the noise itself is compared, which for codes of equal
+light is the same.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cep.optics.code import ShutterCode
+from cep.search.annealing.anneal import SearchResult, anneal
+from cep.search.problem import SearchProblem
+from motdiff.trajectory import Trajectory
+
+__all__ = ["SHORTEST_PX", "dnf_code", "dnf_problem", "dnf_search"]
+
+SHORTEST_PX = 1.0
+"""Paths that are shorter, px, are designed for as if they had this length: less hardly blurs."""
+
+
+def dnf_problem(
+    length_px: float, chips: int, *, open_range: tuple[int, int] | None = None, **limits: object
+) -> SearchProblem:
+    """Say what DNF searches for; see :func:`dnf_search`, whose parameters these are."""
+    if not (np.isfinite(length_px) and length_px >= 0):
+        raise ValueError(f"length_px: must be 0 or more, got {length_px}")
+    straight = Trajectory.straight(max(SHORTEST_PX, float(length_px)))
+    return SearchProblem.along(straight, chips=chips, open_range=open_range, objective="noise", **limits)
+
+
+def dnf_search(
+    length_px: float,
+    chips: int,
+    *,
+    rng: np.random.Generator,
+    steps: int | None = 1_000_000,
+    time_s: float = 60.0,
+    open_range: tuple[int, int] | None = None,
+    **limits: object,
+) -> SearchResult:
+    """Search the code as ours is searched, with the same budget, but knowing nothing of the motion but its length.
+
+    Parameters
+    ----------
+    length_px : float, px
+        Arc length of the path.
+    chips : int
+    rng : numpy Generator
+    steps, time_s
+        Budget, as :func:`cep.search.annealing.anneal.anneal` takes it.
+    open_range : (int, int), optional
+        Fewest and most open chips; any number when omitted.
+    **limits
+        Other limits of :class:`cep.search.problem.SearchProblem`.
+
+    Raises
+    ------
+    ValueError
+        If the length is negative or not finite, or the problem or the budget is malformed.
+
+    References
+    ----------
+    Agrawal and Raskar, "Optimal single image capture for motion deblurring", CVPR 2009.
+    """
+    problem = dnf_problem(length_px, chips, open_range=open_range, **limits)
+    return anneal(problem, rng=rng, steps=steps, time_s=time_s)
+
+
+def dnf_code(length_px: float, chips: int, *, rng: np.random.Generator, **options: Any) -> ShutterCode:
+    """Search as :func:`dnf_search`, and return the code alone."""
+    return dnf_search(length_px, chips, rng=rng, **options).code

@@ -1,0 +1,213 @@
+"""From a photo to a motion on disk: the choice of an estimator, and the files of a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cep.io.files import write_psf
+from cep.io.images import write_image
+from cep.io.outputs import new_folder
+from cep.plots import save, trajectory_figure
+from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.gyro import GyroTrace
+from motdiff.io.trajectories import StoredMotion, write_motion
+from motdiff.psf_frame import PSF_PX
+
+__all__ = [
+    "CALIBRATION_FILES",
+    "METHODS",
+    "calibrate",
+    "check_options",
+    "check_texture",
+    "make_estimator",
+    "write_calibration",
+]
+
+METHODS = ("motdiff", "pmp", "reference", "point", "gyro")
+"""Names of the estimators: blind by diffusion model and classically, with a sharp photo, of a light, by gyroscope."""
+
+CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png")
+"""What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field."""
+
+_LEAST_CONTRAST = 2 / 255
+_NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}}
+_ALLOWED = {"motdiff": {"samples", "quick"}, "gyro": {"rate_unit"}}
+
+
+def check_options(method: str, options: Mapping[str, object]) -> None:
+    """Check a method's name and options before anything is loaded.
+
+    Parameters
+    ----------
+    method : str
+    options : mapping
+        Those of :func:`make_estimator` that differ from method to method, and ``rate_unit``, that of the recording
+        for "gyro"; None is not given.
+
+    Raises
+    ------
+    ValueError
+        If the method is not known, or an option it needs is missing or one that is not its own is given.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {method!r}")
+    given = {name for name, value in options.items() if value is not None}
+    wanted = _NEEDED.get(method, set())
+    for name in sorted(wanted - given):
+        raise ValueError(f"{name}: needed with method={method!r}")
+    for name in sorted(given - wanted - _ALLOWED.get(method, set())):
+        raise ValueError(f"{name}: not valid with method={method!r}")
+
+
+def make_estimator(
+    method: str = "motdiff",
+    *,
+    samples: int | None = None,
+    quick: bool | None = None,
+    seed: int = 0,
+    sharp: ArrayLike | None = None,
+    gyro: GyroTrace | None = None,
+    focal_px: float | None = None,
+    start_s: float | None = None,
+    exposure_s: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Estimator:
+    """Make the estimator of a name.
+
+    Parameters
+    ----------
+    method : {"motdiff", "pmp", "reference", "point", "gyro"}
+    samples : int, optional
+        For "motdiff": motions drawn.
+    quick : bool, optional
+        For "motdiff": whether the classical searches beside it are shortened.
+    seed : int
+        Of what is drawn at random.
+    sharp : (H, W) or (H, W, 3) array_like, linear light 0..1
+        For "reference": a sharp photo of the same scene.
+    gyro, focal_px, start_s, exposure_s
+        For "gyro": the recording, the focal length in px, and when on the recording's clock the shutter was open.
+    progress : callable, optional
+        Called with the finished share 0..1 by methods that take long.
+
+    Raises
+    ------
+    ValueError
+        If the method is not known, or an option it needs is missing or one that is not its own is given.
+    """
+    check_options(
+        method,
+        {
+            "samples": samples,
+            "quick": quick,
+            "sharp": sharp,
+            "gyro": gyro,
+            "focal_px": focal_px,
+            "start_s": start_s,
+            "exposure_s": exposure_s,
+        },
+    )
+    if method == "reference" and sharp is not None:
+        from motdiff.estimators.reference import ReferenceEstimator
+
+        return ReferenceEstimator(sharp)
+    if (
+        method == "gyro"
+        and gyro is not None
+        and focal_px is not None
+        and start_s is not None
+        and exposure_s is not None
+    ):
+        from motdiff.estimators.gyro import GyroEstimator
+
+        return GyroEstimator(gyro, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s)
+    if method == "point":
+        from motdiff.estimators.point import PointEstimator
+
+        return PointEstimator()
+    if method == "pmp":
+        from motdiff.estimators.pmp import PmpEstimator
+
+        return PmpEstimator(progress=progress)
+    from motdiff.estimators.motdiff import MotDiffEstimator
+
+    return MotDiffEstimator(samples=8 if samples is None else samples, thorough=not quick, seed=seed, progress=progress)
+
+
+def calibrate(photo: ArrayLike, estimator: Estimator | None = None) -> MotionEstimate:
+    """Estimate the motion in a photo, which must show something.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    estimator : Estimator, optional
+        The blind one (``motdiff``) when omitted.
+
+    Raises
+    ------
+    ValueError
+        If the photo is constant, black or white, or the estimator refuses it.
+    """
+    check_texture(photo)
+    return (estimator or make_estimator()).estimate(np.asarray(photo, dtype=np.float64))
+
+
+def check_texture(photo: ArrayLike) -> None:
+    """Refuse a photo that is constant, black or white.
+
+    Raises
+    ------
+    ValueError
+        If the photo's values span less than two steps of 8 bit.
+    """
+    pixels = np.asarray(photo, dtype=np.float64)
+    low, high = float(pixels.min()), float(pixels.max())
+    if high - low < _LEAST_CONTRAST:
+        shade = "black" if high < _LEAST_CONTRAST else "white" if low > 1 - _LEAST_CONTRAST else "the same"
+        raise ValueError(f"the photo is {shade} all over: motion shows only where the scene has texture")
+
+
+def write_calibration(
+    folder: Path | str,
+    estimate: MotionEstimate,
+    photo: ArrayLike,
+    *,
+    source: Mapping[str, object] | None = None,
+    force: bool = False,
+) -> dict[str, Path]:
+    """Write a motion estimate: the trajectory, the PSF in three formats, the HR map and a preview; all or nothing.
+
+    Parameters
+    ----------
+    folder : path of a folder, made when missing
+    estimate : MotionEstimate
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1, for the preview
+    source : mapping, optional
+        ``image``, ``seed``: where the estimate comes from.
+    force : bool
+        Whether existing files may be replaced.
+
+    Returns
+    -------
+    dict from file name to Path, of the files written
+
+    Raises
+    ------
+    ValueError
+        If a file exists and ``force`` is not given, or the folder cannot be written to.
+    """
+    best = estimate.trajectories[0]
+    alternatives = tuple(zip(estimate.weights[1:], estimate.trajectories[1:], strict=True))
+    stored = StoredMotion(best, estimate.weights[0], alternatives, {"method": estimate.method, **(source or {})})
+    with new_folder(folder, CALIBRATION_FILES, force=force) as made:
+        write_motion(made / "trajectory.json", stored)
+        write_psf(made, estimate.psf)
+        if best.frame_size() <= PSF_PX:
+            write_image(made / "map.png", best.hr_map(), gamma="linear")
+        save(trajectory_figure(photo, best), made / "preview.png")
+        names = sorted(item.name for item in made.iterdir())
+    return {name: Path(folder) / name for name in names}

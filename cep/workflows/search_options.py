@@ -1,0 +1,342 @@
+"""Options of ``cep optimize`` that say what to search for, and the problem that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from cep.optics.camera import Camera
+    from cep.search.problem import Scenario, SearchProblem
+    from cep.workflows.optimize import Search
+    from hw.device import DeviceProfile
+    from motdiff.io.trajectories import StoredMotion
+    from motdiff.trajectory import Trajectory
+
+__all__ = [
+    "DIRECTIONS",
+    "SearchOptions",
+    "Task",
+    "ending",
+    "on_the_circle",
+    "open_limits",
+    "problem_of",
+    "search_of",
+    "task_of",
+    "unplayable",
+    "warnings_of",
+]
+
+
+DIRECTIONS = ("auto", "unknown", "forward")
+_SPEEDS = 5
+_JITTERS = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions:
+    """The options as they were given; see the command's help."""
+
+    chips: int
+    chip_ns: int
+    open_chips: str | None
+    duty: str | None
+    objective: str | None
+    direction: str
+    min_open: int
+    max_open: int | None
+    min_closed: int
+    min_period: int
+    max_pulses: int | None
+    first_open: bool
+    last_open: bool
+    fixed: str | None
+    alternatives: bool
+    speed: str | None
+    drift: float | None
+    jitter: float | None
+    rule: str
+
+
+def problem_of(
+    wish: SearchOptions,
+    stored: StoredMotion,
+    *,
+    camera: Camera,
+    profile: DeviceProfile | None,
+    rng: np.random.Generator,
+) -> SearchProblem:
+    """Make the search problem that the options describe.
+
+    Raises
+    ------
+    ValueError
+        If an option is malformed or they conflict; the line says which.
+    """
+    from cep.optics.band import uniform_length_px
+    from cep.search.problem import SearchProblem
+    from cep.workflows.compare import limits_of_device, response_of_device
+    from hw.device import DeviceProfile
+
+    if wish.direction not in DIRECTIONS:
+        raise ValueError(f"--direction: must be one of {', '.join(DIRECTIONS)}, got {wish.direction!r}")
+    low, high = open_limits(wish.chips, wish.open_chips, wish.duty)
+    shutter = profile or DeviceProfile(name="any")
+    device: Mapping[str, Any] = limits_of_device(shutter, chips=wish.chips, chip_ns=wish.chip_ns)
+    most = device["most_open_chips"]
+    if most is not None:
+        if most < low:
+            raise ValueError(
+                f"{shutter.name}: at most {most} of {wish.chips} chips may be open, at least {low} were asked for"
+            )
+        high = min(high, most)
+    straight = uniform_length_px(stored.trajectory) is not None
+    return SearchProblem(
+        chips=wish.chips,
+        scenarios=_scenarios(wish, stored, rng),
+        open_range=(low, high),
+        objective=_objective(wish.objective) if wish.objective else ("min-mtf" if straight else "mse"),
+        direction=wish.direction,  # type: ignore[arg-type]
+        rule=wish.rule,  # type: ignore[arg-type]
+        min_open=max(wish.min_open, device["min_open"]),
+        min_closed=max(wish.min_closed, device["min_closed"]),
+        max_pulses=_smallest(wish.max_pulses, device["max_pulses"]),
+        max_open=_smallest(wish.max_open, device["max_open"]),
+        min_period=max(wish.min_period, device["min_period"]),
+        camera=camera,
+        fixed=_mask(wish),
+        response=None if profile is None else response_of_device(profile, wish.chip_ns),
+    )
+
+
+def on_the_circle(problem: SearchProblem) -> bool:
+    """Whether only the code's polynomial matters: one straight uniform motion, chips on time, a shutter without ramps.
+
+    Its zeros from the chip itself are no fault of the code.
+    """
+    from cep.optics.band import uniform_length_px
+
+    if len(problem.scenarios) != 1 or problem.response is not None:
+        return False
+    scenario = problem.scenarios[0]
+    return scenario.edges is None and uniform_length_px(scenario.trajectory) is not None
+
+
+def open_limits(chips: int, open_chips: str | None, duty: str | None) -> tuple[int, int]:
+    """Fewest and most open chips of ``--open`` or ``--duty``."""
+    from cep.search.problem import open_range_of_duty
+
+    if open_chips is not None and duty is not None:
+        raise ValueError("--open and --duty: give one of them")
+    if duty is not None:
+        return open_range_of_duty(chips, *_numbers("--duty", duty, "0.4:0.6"))
+    if open_chips is None:
+        return 1, chips
+    low, _, high = open_chips.partition(":")
+    try:
+        least, most = int(low), int(high or low)
+    except ValueError:
+        raise ValueError(f"--open: must be K or LOW:HIGH in whole chips, got {open_chips!r}") from None
+    if not 1 <= least <= most <= chips:
+        raise ValueError(f"--open: must lie within 1..{chips}, got {open_chips}")
+    return least, most
+
+
+def _smallest(*limits: int | None) -> int | None:
+    return min((limit for limit in limits if limit is not None), default=None)
+
+
+def _objective(text: str) -> str | tuple[tuple[str, float], ...]:
+    if ":" not in text and "," not in text:
+        return text
+    mix = []
+    for part in text.split(","):
+        name, _, weight = part.partition(":")
+        try:
+            mix.append((name.strip(), float(weight or 1)))
+        except ValueError:
+            raise ValueError(f"--objective: must be a name or a mix as min-mtf:0.15,noise:1, got {text!r}") from None
+    if len({name for name, _ in mix}) < len(mix):
+        raise ValueError(f"--objective: names one objective twice, got {text!r}")
+    return tuple(mix)
+
+
+def _scenarios(wish: SearchOptions, stored: StoredMotion, rng: np.random.Generator) -> tuple[Scenario, ...]:
+    from cep.search.scenarios import LARGEST_JITTER, Scenario, alternatives, drifted, jittered, speed_range
+
+    made = alternatives(stored) if wish.alternatives else (Scenario(stored.trajectory),)
+    if wish.speed is not None:
+        low, high = _numbers("--speed", wish.speed, "0.8:1.2")
+        made = speed_range(made, low, high, _SPEEDS if low < high else 1)
+    if wish.drift is not None:
+        if not abs(wish.drift) <= 0.5:
+            raise ValueError(f"--drift: must lie within -0.5..0.5, got {wish.drift:g}")
+        made = drifted(made, wish.chips, (-abs(wish.drift), 0.0, abs(wish.drift)))
+    if wish.jitter is not None:
+        if not 0 <= wish.jitter <= LARGEST_JITTER:
+            raise ValueError(f"--jitter: must lie within 0..{LARGEST_JITTER:g} chips, got {wish.jitter:g}")
+        made = jittered(made, wish.chips, wish.jitter, _JITTERS, rng=rng)
+    return made
+
+
+def _mask(wish: SearchOptions) -> str | None:
+    from cep.search.limits import fixed_mask
+
+    if wish.fixed is None and not (wish.first_open or wish.last_open):
+        return None
+    marks = wish.fixed or "?" * wish.chips
+    for asked, name, place in ((wish.first_open, "--first-open", 0), (wish.last_open, "--last-open", -1)):
+        if asked and marks[place : place + 1 or None] == "0":
+            raise ValueError(f"{name}: --fixed closes that chip")
+    if len(marks) != wish.chips or set(marks) - set("01?"):
+        raise ValueError(f"--fixed: must be {wish.chips} characters of 1, 0 and ?, got {wish.fixed!r}")
+    return fixed_mask(
+        wish.chips,
+        first_open=wish.first_open,
+        last_open=wish.last_open,
+        forced_open=[place for place, mark in enumerate(marks) if mark == "1"],
+        forced_closed=[place for place, mark in enumerate(marks) if mark == "0"],
+    )
+
+
+def _numbers(name: str, text: str, example: str) -> tuple[float, float]:
+    low, _, high = text.partition(":")
+    try:
+        return float(low), float(high or low)
+    except ValueError:
+        raise ValueError(f"{name}: must be LOW:HIGH as {example}, got {text!r}") from None
+
+
+@dataclass(frozen=True)
+class Task:
+    """A search along one motion.
+
+    Attributes
+    ----------
+    problem : SearchProblem
+        To measure on.
+    searched : SearchProblem
+        To search: the unit circle where only the code's polynomial matters.
+    along : Trajectory or None
+        What the certificate is for, None on the unit circle.
+    described : mapping
+        What the code file says of the problem.
+    """
+
+    problem: SearchProblem
+    searched: SearchProblem
+    along: Trajectory | None
+    described: Mapping[str, Any]
+
+
+def search_of(method: str, effort: str, *, steps: int | None, time_s: float | None, seed: int) -> Search:
+    """Check the options that say how to search."""
+    from cep.workflows.optimize import Search
+
+    if method not in ("anneal", "exact"):
+        raise ValueError(f"--method: must be anneal or exact, got {method!r}")
+    if effort not in ("quick", "sdp"):
+        raise ValueError(f"--bound: must be quick or sdp, got {effort!r}")
+    return Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)  # type: ignore[arg-type]
+
+
+def task_of(
+    wish: SearchOptions,
+    stored: StoredMotion,
+    how: Search,
+    *,
+    camera: Camera,
+    profile: DeviceProfile | None,
+    source: Mapping[str, object],
+) -> Task:
+    """Make the search of the options along a motion.
+
+    Parameters
+    ----------
+    wish, how, camera, profile
+        The options.
+    stored : StoredMotion
+    source : mapping
+        ``trajectory``, ``linear_px`` and ``device`` as they were given, for the code file.
+
+    Raises
+    ------
+    ValueError
+        If the path is too wide or too short, or the options are malformed or conflict.
+    """
+    import numpy as np
+
+    from cep.workflows.compare import check_frame, check_resolved
+
+    motion = stored.trajectory
+    for path in (motion, *(path for _, path in stored.alternatives if wish.alternatives)):
+        check_frame(path)
+    check_resolved(motion, wish.chips)
+    problem = problem_of(wish, stored, camera=camera, profile=profile, rng=np.random.default_rng([how.seed, 2]))
+    straight = on_the_circle(problem)
+    described = {
+        **{name: value for name, value in asdict(wish).items() if name not in ("open_chips", "duty", "chip_ns")},
+        **source,
+        "open_range": problem.open_limits,
+        "objective": problem.objective,
+        "min_open": problem.min_open,
+        "max_open": problem.max_open,
+        "min_closed": problem.min_closed,
+        "min_period": problem.min_period,
+        "max_pulses": problem.max_pulses,
+        "fixed": problem.fixed,
+        "camera": problem.camera.to_dict(),
+        "method": how.method,
+        "seed": how.seed,
+    }
+    searched = replace(problem, scenarios=()) if straight and problem.objective == "min-mtf" else problem
+    return Task(problem, searched, None if straight else _as_designed(motion, wish.direction), described)
+
+
+def unplayable(bits: str, profile: DeviceProfile | None, chip_ns: int) -> str:
+    """Say why the device cannot play a code; empty where it can, or none was named."""
+    from hw.program import Program
+
+    problems = profile.check(Program.from_bits(bits, chip_ns=chip_ns)) if profile else ()
+    return f"no code was found that the device can play: {'; '.join(problems)}" if problems else ""
+
+
+def ending(stopped: str, steps: int) -> str:
+    """Say in words what ended a search after so many moves, or codes counted."""
+    return {
+        "steps": f"all {steps:,} moves made",
+        "time": f"stopped by the time, {steps:,} moves made",
+        "interrupted": "stopped by Ctrl-C",
+        "complete": "no other code keeps the limits",
+        "proven": f"all {steps:.2g} codes counted",
+    }[stopped]
+
+
+def warnings_of(task: Task, how: Search, *, stopped: str, baselines: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Say what the user should know of the result, and of its baselines as reported, besides their figures."""
+    problem, told = task.problem, []
+    if stopped == "interrupted":
+        what = "the proof was stopped early" if how.method == "exact" else "the search was stopped early"
+        told.append(f"{what}, this is the best code so far")
+    moves = how.moves(task.searched)
+    if stopped == "time" and moves is not None:
+        limit = "--time" if how.time_s is not None else f"the limit of {how.limit_s:g} s"
+        told.append(f"{limit} ended the search before its {moves:,} moves: another run may give another code")
+    told += [
+        f"the search of the {name} was stopped early, by --time or Ctrl-C: another run may give another"
+        for name, figures in baselines.items()
+        if figures["stopped_early"]
+    ]
+    if problem.response is not None or len(problem.scenarios) > 1 or problem.scenarios[0].edges is not None:
+        told.append("the certificate is for a shutter that opens at once and on time, along the motion as it was given")
+    return told
+
+
+def _as_designed(motion: Trajectory, direction: str) -> Trajectory:
+    """Return the motion with the direction that the search counted."""
+    return (
+        motion if direction == "auto" else replace(motion, direction="known" if direction == "forward" else "unknown")
+    )

@@ -1,0 +1,1 @@
+"""Rival estimators of the benchmark tables; nothing else imports them."""

@@ -1,0 +1,45 @@
+"""What a learned estimator is told of a photo: crops of it, and what physics says about their blur."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from motdiff.crops import best_crops, textured_luminance
+from motdiff.psf_frame import PSF_PX
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+__all__ = ["looked_at"]
+
+_MOST_CROPS = 3
+
+
+def looked_at(photo: ArrayLike) -> Tensor:
+    """Physics maps (1, 8, 64, 64) of a photo, see :func:`motdiff.network.physics_maps.physics_maps`.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+        A large one is looked at in its three best crops.
+
+    Raises
+    ------
+    ValueError
+        If the photo is smaller than 64 x 64 px, not finite, or without texture.
+    """
+    import torch
+
+    from motdiff.estimators.kernel_score import noise_sigma
+    from motdiff.estimators.motdiff.drawing import searched_quickly
+    from motdiff.network.physics_maps import physics_maps
+
+    grey = textured_luminance(photo, least_px=PSF_PX)  # of the lag maps
+    crops = best_crops(grey, count=_MOST_CROPS)
+    told = searched_quickly(crops, sigma=noise_sigma(crops[0]))
+    light, kernels = (torch.from_numpy(array.astype(np.float32))[None] for array in (crops, told))
+    with torch.no_grad():
+        return physics_maps(light, kernels)

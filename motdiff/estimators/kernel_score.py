@@ -1,0 +1,317 @@
+"""Telling a good kernel from a lost one, without the truth.
+
+Blind estimation fails silently: a lost kernel restores to a sparse picture too, so sparsity cannot choose. Two things
+that the sparse search never looks at can. The photo's *power spectrum* has the kernel's zeros in it (no phase), and
+the *phase* tells a kernel from its point reflection (same power). Both are compared with nothing but the photo.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+from motdiff.crops import uniformity
+from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
+from motdiff.psf_frame import in_frame
+from motdiff.threads import side_by_side
+
+__all__ = [
+    "Judge",
+    "Phase",
+    "Ranking",
+    "Spectrum",
+    "candidate_probabilities",
+    "kernel_score",
+    "noise_sigma",
+    "rank_kernels",
+    "uneven_blur_warning",
+]
+
+
+FloatArray = NDArray[np.float64]
+
+_TOP = 3  # how many like-minded candidates count as agreement
+_LEAST_SIGMA = 1e-3
+_BAND_CY_PX = (0.02, 0.4)
+_SPARSE_NORM = 0.8
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Which of several kernels to believe, and how much.
+
+    Attributes
+    ----------
+    best : int
+        Index of the chosen kernel.
+    probabilities : (K,) float
+        Probability of each that its sub-pixel MNC is 0.7 or more.
+    agreement : float
+        Mean MNC of the chosen kernel with the candidates most like it.
+    """
+
+    best: int
+    probabilities: FloatArray
+    agreement: float
+
+    @property
+    def confidence(self) -> float:
+        """Probability that the chosen kernel is good."""
+        return float(self.probabilities[self.best])
+
+
+def noise_sigma(photo: FloatArray) -> float:
+    """Estimate the standard deviation of white noise in a photo (H, W) from its mixed second differences.
+
+    References
+    ----------
+    Immerkaer, "Fast noise variance estimation", CVIU 1996; here with the median, which blurred edges leave alone.
+    """
+    second = photo[:, :-2] - 2 * photo[:, 1:-1] + photo[:, 2:]
+    mixed = second[:-2] - 2 * second[1:-1] + second[2:]
+    return float(np.median(np.abs(mixed)) / 0.6745 / 6)
+
+
+class Spectrum:
+    r"""A photo's power spectrum, prepared to be compared with those of kernels.
+
+    The model of the spectrum is ``A |K(f)|^2 / |f|^2 + sigma^2``, A at its maximum likelihood. A smooth scene spectrum
+    (a power law with curvature, and two harmonics of orientation) is regressed out of both sides, so that what remains
+    are the dips that only the kernel makes.
+
+    Parameters
+    ----------
+    photo : (H, W) float
+    sigma : float
+        Standard deviation of the noise.
+
+    References
+    ----------
+    Whittle, "Estimation and information in stationary time series", 1953 (likelihood of a periodogram).
+    """
+
+    def __init__(self, photo: FloatArray, *, sigma: float) -> None:
+        height, width = self._shape = photo.shape
+        window = np.hanning(height)[:, None] * np.hanning(width)[None, :]
+        window /= np.sqrt(np.mean(window**2))
+        centred = (photo - np.average(photo, weights=window)) * window
+        power = np.abs(fft.rfft2(centred)) ** 2 / (height * width)
+        fy, fx = fft.fftfreq(height)[:, None], np.abs(fft.rfftfreq(width))[None, :]
+        radius2 = fx**2 + fy**2
+        self._used = (radius2 > _BAND_CY_PX[0] ** 2) & (radius2 < _BAND_CY_PX[1] ** 2)
+        radius2[0, 0] = 1.0
+        self._radius2, self._floor = radius2, max(sigma, _LEAST_SIGMA) ** 2
+        self._power = power[self._used].astype(np.float32)
+        self._log_median = float(np.median(np.log(power[self._used])))
+        log_radius, angle = np.log(radius2)[self._used], np.arctan2(fy, fx)[self._used]
+        smooth = np.stack(
+            [np.ones_like(angle), log_radius, log_radius**2]
+            + [wave(order * angle) for order in (2, 4) for wave in (np.cos, np.sin)],
+            axis=1,
+        )
+        self._basis, _ = np.linalg.qr(smooth)
+        self._seen = self._ripples(power)
+
+    def fit(self, kernel: FloatArray) -> float:
+        """Correlation, -1..1, of the photo's log power spectrum with that of ``kernel``, (k, k), sum 1."""
+        scene = np.abs(fft.rfft2(kernel, s=self._shape)) ** 2 / self._radius2
+        inside = scene[self._used]
+        start = np.exp(self._log_median - np.median(np.log(inside + 1e-12)))
+        amplitudes = start * np.geomspace(0.03, 30, 9)
+        misfits = []
+        single = inside.astype(np.float32)  # to choose one of nine, in half the time
+        for amplitude in amplitudes:
+            model = np.float32(amplitude) * single + np.float32(self._floor)
+            misfits.append(float(np.mean(np.log(model) + self._power / model, dtype=np.float64)))
+        expected = self._ripples(amplitudes[int(np.argmin(misfits))] * scene + self._floor)
+        seen = self._seen
+        return float(seen @ expected / np.sqrt((seen @ seen) * (expected @ expected) + 1e-12))
+
+    def _ripples(self, power: FloatArray) -> FloatArray:
+        # 3 x 3 means tame the exponential scatter of a periodogram
+        log_power = np.log(ndimage.uniform_filter(power, 3, mode=("wrap", "mirror")))[self._used]
+        return np.asarray(log_power - self._basis @ (self._basis.T @ log_power), dtype=np.float64)
+
+
+class Phase:
+    """A photo prepared to tell kernels from their point reflections, which have the same power.
+
+    Parameters
+    ----------
+    photo : (H, W) float
+    sigma : float
+        Standard deviation of the noise.
+    """
+
+    def __init__(self, photo: FloatArray, *, sigma: float) -> None:
+        energy = float(np.mean(np.diff(photo, axis=0) ** 2) + np.mean(np.diff(photo, axis=1) ** 2))
+        noise_to_scene = 40 * max(sigma, 2e-3) ** 2 / max(energy - 4 * sigma**2, 1e-6)
+        self._margin = min(32, min(photo.shape) // 4)
+        padded = np.pad(photo - photo.mean(), self._margin, mode="symmetric")  # a mean would hide faint contrast below
+        self._shape = padded.shape
+        self._spectrum = fft.rfft2(padded).astype(np.complex64)  # the evidence changes by 1e-7, in half the time
+        radius2 = fft.fftfreq(padded.shape[0])[:, None] ** 2 + fft.rfftfreq(padded.shape[1])[None, :] ** 2
+        self._penalty = (noise_to_scene * radius2 + 1e-12).astype(np.float32)
+
+    def evidence(self, kernel: FloatArray) -> float:
+        """Log ratio of gradient sparsity after restoring with the reflected kernel, and with the kernel itself.
+
+        Positive when the phase of ``kernel``, (k, k) of odd k, is right: the reflected one rings.
+        """
+        centre = kernel.shape[0] // 2
+        frame = np.zeros(self._shape, dtype=np.float32)
+        frame[: kernel.shape[0], : kernel.shape[1]] = kernel
+        transfer = fft.rfft2(np.roll(frame, (-centre, -centre), axis=(0, 1)))
+        quotient = self._spectrum / (transfer.real**2 + transfer.imag**2 + self._penalty)
+        # point reflection of a real kernel conjugates its transfer function
+        right, reflected = (self._sparsity(quotient * response) for response in (transfer.conj(), transfer))
+        return reflected - right
+
+    def _sparsity(self, spectrum: NDArray[np.complex64]) -> float:
+        inner = slice(self._margin + 8, -self._margin - 8)
+        restored = fft.irfft2(spectrum, s=self._shape)[inner, inner]
+        gradients = np.concatenate([np.diff(restored, axis=axis).ravel() for axis in (0, 1)])
+        energy = gradients**2
+        half = np.float32(_SPARSE_NORM / 2)
+        norm = np.mean(energy**half, dtype=np.float64) / np.mean(energy, dtype=np.float64) ** (_SPARSE_NORM / 2)
+        return float(np.log(norm))
+
+
+class Judge:
+    """The crops of a photo, prepared to judge kernels by what the search never looks at.
+
+    Parameters
+    ----------
+    photos : (C, H, W) float
+        Crops that share one blur.
+
+    Attributes
+    ----------
+    sigma : float
+        Standard deviation of their noise.
+    """
+
+    def __init__(self, photos: FloatArray) -> None:
+        self.sigma = float(np.median([noise_sigma(photo) for photo in photos]))
+        self._spectra = [Spectrum(photo, sigma=self.sigma) for photo in photos]
+        self._phases = [Phase(photo, sigma=self.sigma) for photo in photos]
+
+    def evidence(self, kernels: Sequence[FloatArray]) -> FloatArray:
+        """Evidence (K, 3) for kernels (k, k), odd k, sum 1.
+
+        Returns
+        -------
+        Spectral fit and phase evidence (means over crops), and the share of light on the frame's rim.
+        """
+        return np.array(side_by_side([partial(self._row, kernel) for kernel in kernels]), dtype=np.float64)
+
+    def _row(self, kernel: FloatArray) -> tuple[float, float, float]:
+        fit = np.mean([spectrum.fit(kernel) for spectrum in self._spectra])
+        phase = np.mean([phase.evidence(kernel) for phase in self._phases])
+        return float(fit), float(phase), float(1 - kernel[1:-1, 1:-1].sum() / kernel.sum())
+
+
+# One score for all kernels. Its weights choose the kernel with the highest MNC on average, fitted on simulated motions
+# over training photos (120 photos, 8 or 9 starts each); a fit to drawn kernels is no better, docs/decisions/network.md.
+_EVIDENCE_WEIGHTS, _AGREEMENT_WEIGHT = np.array([0.8, 2.0, -1.0]), 0.4
+# Slope and offset turn the winner's score into the share of winners with a sub-pixel MNC of 0.7 or more: fitted apart
+# for classical searches alone and for these together with draws, whose agreement is another mean.
+_SEARCHED, _DRAWN = (8.3, -5.15), (12.5, -8.5)
+
+
+def kernel_score(evidence: FloatArray, agreement: FloatArray | float = 0.0) -> FloatArray:
+    """Quality (K,) of kernels from their :meth:`Judge.evidence` (K, 3) and their agreement (K,) with other candidates.
+
+    Agreement is a mean MNC; leave it out to compare by the photo alone.
+    """
+    return np.asarray(evidence @ _EVIDENCE_WEIGHTS + _AGREEMENT_WEIGHT * agreement, dtype=np.float64)
+
+
+def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
+    """Choose among kernels that classical searches have found; each agrees by its mean MNC with the three most alike.
+
+    Parameters
+    ----------
+    photos : (C, H, W) float
+        Crops that share one blur.
+    kernels : sequence of (k, k) float, odd k, sum 1
+        Candidates; their frames may differ.
+    """
+    count = len(kernels)
+    alike = mnc_matrix(kernels)
+    np.fill_diagonal(alike, 0)
+    top = max(min(_TOP, count - 1), 1)
+    agreement = np.sort(alike, axis=1)[:, -top:].mean(axis=1) if count > 1 else np.ones(1)
+    probabilities = _probabilities(kernel_score(Judge(photos).evidence(kernels), agreement), _SEARCHED)
+    best = int(np.argmax(probabilities))
+    return Ranking(best, probabilities, float(agreement[best]))
+
+
+def candidate_probabilities(evidence: FloatArray, alike: FloatArray, *, samples: int, classical: int) -> FloatArray:
+    """Probability (K,) of each of K kernels to be good: first the drawn ones, then the classical ones, then others.
+
+    A kernel agrees by its mean MNC with the drawn ones and that with the classical ones, half each, without itself.
+
+    Parameters
+    ----------
+    evidence : (K, 3) float
+        From :meth:`Judge.evidence`.
+    alike : (K, K) float
+        MNC of every pair, see :func:`motdiff.metrics.mnc_matrix`.
+    samples, classical : int
+        How many there are of the first two.
+    """
+    alike = alike * (1 - np.eye(len(alike)))
+    index = np.arange(len(alike))
+    among_samples = alike[:, :samples].sum(axis=1) / np.maximum(samples - (index < samples), 1)
+    is_classical = (index >= samples) & (index < samples + classical)
+    among_classical = alike[:, samples : samples + classical].sum(axis=1) / np.maximum(classical - is_classical, 1)
+    return _probabilities(kernel_score(evidence, (among_samples + among_classical) / 2), _DRAWN)
+
+
+def _probabilities(scores: FloatArray, calibration: tuple[float, float]) -> FloatArray:
+    slope, offset = calibration
+    return np.asarray(1 / (1 + np.exp(-(slope * scores + offset))), dtype=np.float64)
+
+
+_CLEARLY = 0.02  # docs/decisions/motion-estimation.md
+
+
+def uneven_blur_warning(crops: FloatArray, own: Sequence[FloatArray], shared: FloatArray) -> str | None:
+    """Return a sentence for the user when no kernel explains every crop as well as that crop's own, else None.
+
+    That the kernels of single crops differ says little: a search in one crop is lost more often than a blur differs.
+
+    Parameters
+    ----------
+    crops : (C, H, W) float, grey
+    own : sequence of C (k, k) float
+        Kernel found in each crop alone.
+    shared : (k, k) float, odd k, sum 1
+        Kernel found in all of them together.
+    """
+    kernels = [shared, *(_odd(kernel) for kernel in own)]
+    scores = np.stack([kernel_score(Judge(crop[None]).evidence(kernels)) for crop in crops])
+    alike = np.array([[mnc_subpixel(one, other) for other in kernels] for one in kernels[1:]])
+    # (crops, kernels): how much better a crop's own kernel explains it than another one does
+    missing = np.where(alike < SAME_KERNEL_MNC, np.diagonal(scores, offset=1)[:, None] - scores, 0.0)
+    best = int(np.argmin((missing > _CLEARLY).sum(axis=0)))
+    differing = np.flatnonzero(missing[:, best] > _CLEARLY)
+    if differing.size == 0:
+        return None
+    mutual = uniformity([kernels[best], *(kernels[1 + i] for i in differing)])
+    return (
+        f"The blur differs across the photo ({differing.size} of {len(crops)} crops have another one, mutual MNC "
+        f"{mutual:.2f}): no single trajectory fits."
+    )
+
+
+def _odd(kernel: FloatArray) -> FloatArray:
+    """Cut an even frame, whose first row and column are beyond the reach of its centre, to an odd one; sum 1."""
+    cut = in_frame(kernel, (len(kernel) - 1) | 1)
+    return np.asarray(cut / max(float(cut.sum()), 1e-12), dtype=np.float64)

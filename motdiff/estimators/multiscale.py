@@ -1,0 +1,223 @@
+"""Blind estimation in a photo of any size: crops, a search for kernels, one choice, half size where that is better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from motdiff.crops import CROP_PX, best_crops, textured_luminance
+from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.kernel_score import uneven_blur_warning
+from motdiff.metrics import mnc_subpixel
+from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
+from motdiff.threads import one_thread_a_call
+from motdiff.tracing import is_tangled, simplest_trajectory
+
+__all__ = ["Found", "KernelSearch", "estimate_blind", "without_faint_parts"]
+
+FloatArray = NDArray[np.float64]
+
+_LEAST_HALVED_PX = 192
+_LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halved and tried again
+_LEVELS = 3
+_FAINT = 0.05  # share of the peak: noise of a fitted kernel, docs/decisions/tracing.md
+_SPECK_SHARE = 0.1
+_SAME_MOTION_MNC = 0.8  # less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
+_MOST_MOTIONS = 3
+_LOST = 0.5
+# kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px, six
+_WEB_PX, _WEB_TURNS, _WEB_CONFIDENCE = 200.0, 4.0, 0.2
+_CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found in the crops of one photo.
+
+    Attributes
+    ----------
+    kernels : tuple of (k, k) float, odd k, sum 1
+        Candidates.
+    probabilities : (K,) float
+        Of each to be good: sub-pixel MNC of 0.7 or more.
+    best : int
+        The chosen one.
+    details : dict
+        Figures for the report.
+    warnings : tuple of str
+        What the user should know, one sentence each.
+    """
+
+    kernels: tuple[FloatArray, ...]
+    probabilities: FloatArray
+    best: int
+    details: dict[str, object] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def confidence(self) -> float:
+        """Probability that the chosen kernel is good."""
+        return float(self.probabilities[self.best])
+
+
+class KernelSearch(Protocol):
+    """A blind method, at one scale."""
+
+    largest_px: int
+    """Side of the largest frame that it searches, px."""
+    smallest_px: int
+    """Least side of a photo that it can search, px."""
+
+    def search(self, crops: FloatArray) -> Found:
+        """Search the kernel that the crops (C, H, W), grey, linear light, share."""
+        ...
+
+    def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:
+        """Search each crop alone, in the cheapest way: the kernels tell whether the blur is the same everywhere."""
+        ...
+
+
+@one_thread_a_call()
+def estimate_blind(photo: ArrayLike, search: KernelSearch, *, method: str, most_crops: int) -> MotionEstimate:
+    """Estimate the motion from a blurred ``photo``.
+
+    Where the blur outgrows the search, or is lost in a large photo, the photo is halved and tried again.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    search : KernelSearch
+    method : str
+        Its name.
+    most_crops : int
+        Most crops used of a photo larger than one crop.
+
+    Returns
+    -------
+    MotionEstimate with ``direction`` unknown; distinct kernels follow as alternatives.
+
+    Raises
+    ------
+    ValueError
+        If the photo is smaller than ``search.smallest_px``, not finite, or without texture.
+
+    References
+    ----------
+    Hu and Yang, "Good regions to deblur", ECCV 2012 (crops).
+    """
+    grey = textured_luminance(photo, least_px=search.smallest_px)
+    level = _level(grey, 1, search, most_crops)
+    while level.factor < 2 ** (_LEVELS - 1) and _wants_halving(level, search.largest_px, min(grey.shape)):
+        factor = level.factor * 2
+        smaller = cv2.resize(grey, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+        coarser = _level(np.asarray(smaller, dtype=np.float64), factor, search, most_crops)
+        if coarser.found.confidence < max(_LOST, level.found.confidence + _CLEARLY):
+            break
+        level = coarser
+    uneven = None
+    if len(level.crops) > 1:
+        found = level.found
+        uneven = uneven_blur_warning(level.crops, search.single(level.crops, found), found.kernels[found.best])
+    return _described(level, method, uneven)
+
+
+@dataclass(frozen=True)
+class _Level:
+    """What one scale of the photo gave."""
+
+    factor: int
+    crops: FloatArray
+    found: Found
+
+
+def _level(grey: FloatArray, factor: int, search: KernelSearch, most_crops: int) -> _Level:
+    crops = best_crops(grey, count=most_crops)
+    crops = crops[np.ptp(crops, axis=(1, 2)) > 0]  # a burnt-out sky says nothing, not even noise
+    if not len(crops):
+        raise ValueError("photo: has edges of one direction at most; motion shows only where the scene has texture")
+    return _Level(factor, crops, search.search(crops))
+
+
+def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:
+    """Tell whether the blur outgrew the search, or is lost in a photo with pixels to spare."""
+    side_px = full_side_px // level.factor
+    y, x = np.nonzero(level.found.kernels[level.found.best])
+    outgrown = max(np.ptp(y), np.ptp(x)) + 1 > _LARGEST_EXTENT * largest_px
+    lost = level.found.confidence < _LOST and side_px >= 2 * CROP_PX
+    return bool((outgrown and side_px >= _LEAST_HALVED_PX) or lost)
+
+
+def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate:
+    found, kernels = level.found, level.found.kernels
+    chosen = [found.best]
+    for i in np.argsort(-found.probabilities):
+        if len(chosen) < _MOST_MOTIONS and all(mnc_subpixel(kernels[i], kernels[j]) < _SAME_MOTION_MNC for j in chosen):
+            chosen.append(int(i))
+    trajectories = [simplest_trajectory(without_faint_parts(kernels[i])) for i in chosen]
+    if level.factor > 1:
+        trajectories = [trajectory.scaled(level.factor) for trajectory in trajectories]
+    weights = found.probabilities[chosen] / found.probabilities[chosen].sum()
+    psf = drawn = trajectories[0].psf(trajectories[0].frame_size(PSF_PX))
+    if level.factor == 1:
+        psf = in_frame(kernels[found.best], max(PSF_PX, len(kernels[found.best]) + 1))
+        psf = psf / psf.sum()
+    warnings = [*found.warnings, *([] if uneven is None else [uneven])]
+    confidence = found.confidence
+    length_px, extent_px = trajectories[0].length_px, trajectories[0].extent_px
+    if length_px > max(_WEB_PX * level.factor, _WEB_TURNS * extent_px):  # the limit is in pixels of what was searched
+        confidence = min(confidence, _WEB_CONFIDENCE)
+        warnings.append(
+            f"the path found is {length_px:.0f} px long within {extent_px:.0f} px: more a web of noise than a motion"
+        )
+    elif confidence >= _LOST and is_tangled(trajectories[0].scaled(1 / level.factor)):  # strands as searched
+        warnings.append(
+            f"the path found is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a blur kernel does "
+            "not tell the order of crossing strands: a code searched along it may be no better than a published one; "
+            "the method gyro tells the order"
+        )
+    if confidence < _LOST:
+        warnings.append(
+            f"the blind estimate is probably lost (confidence {confidence:.2f}): "
+            "take a photo with more texture, or use the methods reference or point"
+        )
+    if level.factor > 1:
+        warnings.append(f"the motion was estimated on the photo at 1/{level.factor} of its size, where it shows better")
+    return MotionEstimate(
+        method=method,
+        trajectories=tuple(trajectories),
+        weights=tuple(float(w) for w in weights),
+        psf=psf,
+        confidence=confidence,
+        warnings=tuple(warnings),
+        details={
+            "crops": len(level.crops),
+            "scale": 1 / level.factor,
+            **found.details,
+            "trajectory_psf_mnc": mnc_subpixel(psf, drawn),
+        },
+    )
+
+
+def without_faint_parts(kernel: FloatArray) -> FloatArray:
+    """Drop what is below 5 % of the peak, and specks: noise there draws side branches that lengthen the path.
+
+    Parameters
+    ----------
+    kernel : (k, k) float
+        Non-negative, with some light.
+
+    Returns
+    -------
+    (k, k) float, sum 1
+    """
+    kept = without_faint_light(kernel, below=_FAINT)
+    label, count = ndimage.label(kept, structure=np.ones((3, 3)))
+    light = ndimage.sum_labels(kept, label, np.arange(count + 1))
+    light[0] = 0
+    kept = np.where(light[label] >= min(light.max(), _SPECK_SHARE * kept.sum()), kept, 0.0)
+    return np.asarray(kept / kept.sum(), dtype=np.float64)

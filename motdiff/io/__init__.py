@@ -1,0 +1,1 @@
+"""Files: photos, trajectories, gyroscope recordings, MATLAB files; inputs that are refused, outputs written whole."""

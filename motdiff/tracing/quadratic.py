@@ -1,0 +1,224 @@
+"""Paths that are a quadratic function of time: the best one for a true motion, the limit of its class, or for a PSF."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import optimize
+
+from motdiff.metrics import mnc_subpixel
+from motdiff.psf_frame import PSF_PX
+from motdiff.tracing.path import trace_psf_to_trajectory
+from motdiff.trajectory import Trajectory
+
+__all__ = ["QuadraticPath", "most_alike_quadratic", "nearest_quadratic", "quadratic_of_psf", "simplest_trajectory"]
+
+
+FloatArray = NDArray[np.float64]
+
+_HAT_VARIANCE_PX2 = 1 / 6  # of the PSF's bilinear hat, along each axis
+_BLURS_PX = (3.0, 1.2, 0.0)  # on top of the hat, coarse to fine
+_POINTS, _TRUE_POINTS = 49, 240
+_ANGLES = 4
+_BENDS = (0.0, 0.8, -0.8)  # of the bend across the motion, over the path's extent
+_NO_BETTER = 1e-6
+_CLIMBED_ON = 3  # of the starts
+_MOST_POINTS = 500  # a path has fewer; of noise all over the frame the brightest do
+
+
+@dataclass(frozen=True)
+class QuadraticPath:
+    """Motion ``p(t) = a (t - 1/2) + b ((t - 1/2)^2 - 1/12)`` for t in 0..1, with its time-mean at (0, 0).
+
+    Parameters
+    ----------
+    a, b : (2,) float, px
+        Displacement from start to end, and half the change of velocity; x before y.
+    """
+
+    a: FloatArray
+    b: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("a", "b"):
+            value = np.array(getattr(self, name), dtype=np.float64)
+            if value.shape != (2,) or not np.isfinite(value).all():
+                raise ValueError(f"{name}: must be two finite numbers (x, y), got {value.tolist()}")
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    def reversed(self) -> QuadraticPath:
+        """Return the same path run backwards in time."""
+        return QuadraticPath(-self.a, self.b)
+
+    def trajectory(self, *, samples: int = 129) -> Trajectory:
+        """Return the path as straight pieces between ``samples`` times, evenly spaced."""
+        t = np.linspace(0, 1, samples)
+        return Trajectory.from_samples(_points(np.concatenate([self.a, self.b]), t), t=t)
+
+
+def nearest_quadratic(truth: Trajectory) -> QuadraticPath:
+    """Quadratic path with the least mean square distance to ``truth`` at equal times; a closed form.
+
+    For coding an exposure, where it matters what the motion does when. Its reverse is the nearest of the reverse.
+
+    Parameters
+    ----------
+    truth : Trajectory
+    """
+    steps = np.diff(truth.t)
+    start, end = truth.t[:-1] - 0.5, truth.t[1:] - 0.5
+    a, b = np.zeros(2), np.zeros(2)
+    for share in (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3)):  # Gauss: exact for pieces times t^2
+        tau = start + share * (end - start)
+        xy = truth.xy[:-1] + share * np.diff(truth.xy, axis=0)
+        a += 0.5 * (steps * tau) @ xy
+        b += 0.5 * (steps * (tau**2 - 1 / 12)) @ xy
+    return QuadraticPath(12 * a, 180 * b)  # the two shapes are orthogonal, of mean square 1/12 and 1/180
+
+
+def most_alike_quadratic(truth: Trajectory, *, size: int = PSF_PX) -> QuadraticPath:
+    """Quadratic path whose PSF is most alike to that of ``truth`` (sub-pixel MNC): the oracle of the parametric class.
+
+    Climbed from 13 starts twice each, on PSFs blurred less and less: a local optimum, but at least as good as
+    :func:`nearest_quadratic`, which is a candidate. Of its two directions it has the one nearer to the truth's.
+
+    Parameters
+    ----------
+    truth : Trajectory
+    size : int, px
+        Side of the PSFs that are compared; it must hold the motion.
+    """
+    nearest = nearest_quadratic(truth)
+    target = truth.at((np.arange(_TRUE_POINTS) + 0.5) / _TRUE_POINTS)
+    weight = np.full(_TRUE_POINTS, 1 / _TRUE_POINTS)
+    psf = truth.psf(size)
+
+    def alike(path: QuadraticPath) -> float:
+        drawn = path.trajectory()
+        return mnc_subpixel(drawn.psf(drawn.frame_size(size)), psf)
+
+    best, score = nearest, alike(nearest)
+    for start, blurs_px in itertools.product(_starts(nearest, target), (_BLURS_PX, _BLURS_PX[1:])):
+        found = start
+        for blur_px in blurs_px:
+            found = _climbed(found, target, weight, variance_px2=_HAT_VARIANCE_PX2 + blur_px**2)[0]
+        path = QuadraticPath(found[:2], found[2:4])
+        path_score = alike(path)
+        if path_score > score + _NO_BETTER:
+            best, score = path, path_score
+    return best if best.a @ nearest.a >= 0 else best.reversed()
+
+
+def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
+    """Quadratic path whose PSF is most alike to ``psf``, one of the two that are each other's reverse.
+
+    Climbed from seven starts that have the PSF's second moments: straight, bent, sped up and bent back motions.
+
+    Parameters
+    ----------
+    psf : (H, W) array_like
+        Non-negative, with some light.
+
+    Raises
+    ------
+    ValueError
+        If ``psf`` is no such array.
+    """
+    light = np.asarray(psf, dtype=np.float64)
+    if light.ndim != 2 or not np.isfinite(light).all() or light.min(initial=0) < 0 or not light.any():
+        raise ValueError(f"psf: must be a non-negative (H, W) array with some light, got shape {light.shape}")
+    kept = np.argsort(-light, axis=None)[: min(_MOST_POINTS, np.count_nonzero(light))]
+    rows, columns = np.unravel_index(kept, light.shape)
+    weight = light[rows, columns] / light[rows, columns].sum()
+    target = np.stack([columns, rows], axis=-1).astype(np.float64)
+    target -= weight @ target
+    across, along = np.linalg.eigh((weight * target.T) @ target)[1].T  # the smaller moment first
+    length, width = (np.sqrt(weight @ (target @ axis) ** 2) for axis in (along, across))
+    # the two shapes' mean squares are 1/12 and 1/180
+    straight, bent, back = np.sqrt(12) * length * along, np.sqrt(180) * width * across, np.sqrt(180) * length * along
+    starts = [(straight, np.zeros(2))]
+    starts += [(straight, sign * bent) for sign in (1, -1)]
+    starts += [(0.7 * straight, sign * 0.7 * back) for sign in (1, -1)]
+    starts += [(np.sqrt(12) * width * across, sign * back) for sign in (1, -1)]
+    coarse = max(1.0, 0.15 * float(length))
+    found = [
+        _climbed(np.concatenate([a, b, [0, 0]]), target, weight, variance_px2=_HAT_VARIANCE_PX2 + coarse**2)
+        for a, b in starts
+    ]
+    finest = [
+        _climbed(values, target, weight, variance_px2=2 * _HAT_VARIANCE_PX2)
+        for values, _ in sorted(found, key=lambda one: one[1])[:_CLIMBED_ON]
+    ]
+    best = min(finest, key=lambda one: one[1])[0]
+    return QuadraticPath(best[:2], best[2:4])
+
+
+def _points(coefficients: FloatArray, t: FloatArray) -> FloatArray:
+    """Points (N, 2), px, of the path with coefficients (4,), ``a`` before ``b``, at times t (N,)."""
+    tau = t - 0.5
+    return np.asarray(np.outer(tau, coefficients[:2]) + np.outer(tau**2 - 1 / 12, coefficients[2:4]), dtype=np.float64)
+
+
+def _starts(nearest: QuadraticPath, target: FloatArray) -> list[FloatArray]:
+    """Coefficients and a shift (6,): the nearest path, and straight and bent ones all around."""
+    extent_px = float(np.ptp(target, axis=0).max())
+    starts = [np.concatenate([nearest.a, nearest.b, [0, 0]])]
+    for angle_rad in np.pi * np.arange(_ANGLES) / _ANGLES:
+        along = np.array([np.cos(angle_rad), np.sin(angle_rad)])
+        across = np.array([-along[1], along[0]])
+        starts += [extent_px * np.concatenate([along, 4 * bend * across, [0, 0]]) for bend in _BENDS]
+    return starts
+
+
+def _climbed(
+    start: FloatArray, target: FloatArray, weight: FloatArray, *, variance_px2: float
+) -> tuple[FloatArray, float]:
+    """Coefficients and shift (6,) of a local optimum of the correlation with the target's points (M, 2), and its loss.
+
+    The points' weights (M,) sum to 1.
+    """
+    t = (np.arange(_POINTS) + 0.5) / _POINTS
+    shapes = np.stack([t - 0.5, (t - 0.5) ** 2 - 1 / 12, np.ones(_POINTS)])  # of a, b and the shift
+    width, even = 4 * variance_px2, np.full(_POINTS, 1 / _POINTS)
+
+    def loss(values: FloatArray) -> tuple[float, FloatArray]:
+        points = shapes.T @ values.reshape(3, 2)
+        with_itself, pull_itself = _overlap(points, points, even, width)
+        with_target, pull = _overlap(points, target, weight, width)
+        gradient = pull_itself / with_itself - pull / with_target  # of -log of the cosine
+        return float(0.5 * np.log(with_itself) - np.log(with_target)), (shapes @ gradient).ravel()
+
+    found = optimize.minimize(loss, start, jac=True, method="L-BFGS-B")
+    return np.asarray(found.x, dtype=np.float64), float(found.fun)
+
+
+def _overlap(points: FloatArray, others: FloatArray, weight: FloatArray, width: float) -> tuple[float, FloatArray]:
+    """Weighted mean over pairs of exp(-distance^2 / width), with its gradient (N, 2) in the first points."""
+    distance2 = np.square(points).sum(axis=1)[:, None] + np.square(others).sum(axis=1) - 2 * points @ others.T
+    near = np.exp(distance2 / -width) * (weight / len(points))
+    pulled = near.sum(axis=1, keepdims=True) * points - near @ others
+    return float(near.sum()) + 1e-300, -2 / width * pulled
+
+
+_EXPLAINED_MNC = 0.86  # docs/decisions/tracing.md
+
+
+def simplest_trajectory(psf: ArrayLike) -> Trajectory:
+    """Turn an estimated PSF into a trajectory: a quadratic path where that explains the PSF, else a walk.
+
+    A walk covers all that is drawn, so the blotches of a blind kernel make it several times too long and lose its order
+    in time, which is what a shutter code is made for. A straight or evenly bent path cannot follow them.
+
+    Parameters
+    ----------
+    psf : (H, W) array_like
+        As :func:`motdiff.tracing.trace_psf`, to which what no quadratic path explains is left.
+    """
+    light = np.asarray(psf, dtype=np.float64)
+    plain = quadratic_of_psf(light).trajectory()
+    drawn = plain.psf(plain.frame_size(PSF_PX))
+    return plain if mnc_subpixel(drawn, light) >= _EXPLAINED_MNC else trace_psf_to_trajectory(light)

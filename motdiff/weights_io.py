@@ -1,0 +1,76 @@
+"""Small weights files: float16 tensors in safetensors, with a header that says what they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from safetensors import SafetensorError, safe_open
+
+from motdiff.io.inputs import one_line, regular_file
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+__all__ = ["fill", "halved", "read_header", "read_tensors"]
+
+
+def read_header(path: Path | str) -> dict[str, str]:
+    """Read the header of a safetensors file, without torch.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be read.
+    """
+    try:
+        with safe_open(str(regular_file(path)), framework="np") as file:
+            return dict(file.metadata() or {})
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"{path}: cannot be read as weights: {one_line(error)}") from error
+
+
+def halved(state: Mapping[str, Tensor], *, source: Path | str) -> dict[str, Tensor]:
+    """Turn the floating-point tensors of a network's state into float16, ready to be saved.
+
+    Parameters
+    ----------
+    state : mapping of tensors
+    source : path
+        What an error names.
+
+    Raises
+    ------
+    ValueError
+        If float16 cannot hold a value.
+    """
+    tensors = {name: (t.half() if t.is_floating_point() else t).contiguous() for name, t in state.items()}
+    if wrong := next((name for name, tensor in tensors.items() if not tensor.isfinite().all()), None):
+        raise ValueError(f"{source}: {wrong} holds values that float16 cannot, above 65504")
+    return tensors
+
+
+def read_tensors(path: Path | str, *, device: str = "cpu") -> dict[str, Tensor]:
+    """Read the tensors of a weights file, those of floating point as float32."""
+    with safe_open(str(path), framework="pt", device=device) as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, not a dict
+    return {name: t.float() if t.is_floating_point() else t for name, t in tensors.items()}
+
+
+def fill(network: nn.Module, path: Path | str) -> None:
+    """Put a weights file's tensors into a network on the CPU: eval mode, without gradients, channels last.
+
+    Raises
+    ------
+    ValueError
+        If they do not fit.
+    """
+    import torch
+
+    try:
+        network.load_state_dict(read_tensors(path))
+    except RuntimeError as error:
+        raise ValueError(f"{path}: its tensors do not fit the network") from error
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network.eval().requires_grad_(False)
