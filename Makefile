@@ -15,7 +15,7 @@ help:
 	@echo "make demo             the whole chain on a bundled photo, to $(OUT)/report.html"
 	@echo "make demo PHOTO=path  the same on a blurred photo of your own"
 	@echo "make test             the tests"
-	@echo "make lint             ruff and strict mypy"
+	@echo "make lint             ruff, strict mypy and the rules on imports"
 	@echo "make bench            the paper's tables at their quick size, to $(BENCH)/README.md"
 	@echo "make bench QUICK= DATA=folder   the same at full size (days), of your photos; stopped, it goes on"
 	@echo "make benchmarks       the measurements under benchmarks/"
@@ -31,6 +31,7 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
 
 bench: $(READY)
 	$(BIN)/cep bench $(QUICK) --force -o "$(BENCH)" $(if $(DATA),--data "$(DATA)")

@@ -16,9 +16,10 @@ import numpy as np
 
 from cep.codes.published import CLAIMS, for_chips, names, published
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import chip_noise_db, measure
+from cep.optics.mtf import chip_noise_db
 from cep.proofs.certify.certificate import certify
 from cep.proofs.certify.minimum import chip_minimum
+from cep.proofs.measure import measure
 from cep.proofs.verify.certificates import verify
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory

@@ -21,8 +21,9 @@ import numpy as np
 from cep.bench.codes import code_rows
 from cep.codes.published import PUBLISHED
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import chip_noise_db, measure
+from cep.optics.mtf import chip_noise_db
 from cep.proofs.certify.minimum import min_chip
+from cep.proofs.measure import measure
 from cep.search.annealing.anneal import anneal
 from cep.search.exhaustive.exact import codes_to_count, exact
 from cep.search.objective import Objective

@@ -26,7 +26,7 @@ from cep import plots
 from cep.optics.camera import Camera, capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.optics.mtf import measure
+from cep.proofs.measure import measure
 from cep.restoration import restore
 from cep.search.annealing.anneal import anneal
 from cep.search.problem import SearchProblem

@@ -50,7 +50,7 @@ class StoredCode:
     ----------
     code : ShutterCode
     metrics : mapping
-        Figures of :func:`cep.optics.mtf.measure`.
+        Figures of :func:`cep.proofs.measure.measure`.
     problem : mapping
         What the code was searched for: trajectory, limits, objective, seed.
     certificate : mapping

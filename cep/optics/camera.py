@@ -15,10 +15,14 @@ from cep.io.outputs import write_text
 from motdiff.io.inputs import one_line, read_json, read_toml
 from motdiff.simulate import add_noise, photograph, to_display, to_linear
 
-__all__ = ["SCHEMA", "Camera", "capture"]
+__all__ = ["LIGHT_LEVELS", "SCHEMA", "Camera", "capture"]
 
 FloatArray = NDArray[np.float64]
 SCHEMA = "cep.camera/1"
+
+LIGHT_LEVELS = (100.0, 1_000.0, 10_000.0, 100_000.0)
+"""Photo-electrons at full scale at which coding is compared with not coding: from starlight to studio."""
+
 _LARGEST_PHOTONS = 1e9  # Poisson draws stay exact in float64 and int64 far above any full well
 
 

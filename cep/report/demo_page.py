@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import platform
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.optics.camera import LIGHT_LEVELS
 from cep.optics.exposure import coded_psf
 from cep.plots import before_after, code_strips, mtf_figure, psf_figure, trajectory_figure
 from cep.report.result_page import Report, Section, Table, picture
-from cep.workflows.demo_chain import LIGHT_LEVELS, Chain
 from motdiff.metrics import mnc_subpixel, path_distance_px
 from motdiff.psf_frame import PSF_PX
+
+if TYPE_CHECKING:
+    from cep.workflows.demo_chain import Chain
 
 __all__ = ["DEMO_PICTURES", "demo_report", "verdict"]
 

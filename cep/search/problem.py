@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from cep.optics.band import uniform_length_px
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import CodeMetrics, measure, worst_of
 from cep.optics.response import ShutterResponse
 from cep.optics.timeline import check_lengths, checked_edges
+from cep.proofs.measure import CodeMetrics, measure, worst_of
 from cep.search.limits import Limits, check_feasible, checked_mask
 from cep.search.sampling import draw
 from cep.search.scenarios import Scenario

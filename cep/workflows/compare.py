@@ -13,8 +13,8 @@ from cep.codes.published import for_chips
 from cep.optics.band import stays_in_place, uniform_length_px
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import CodeMetrics, measure, worst_of
 from cep.optics.response import ShutterResponse
+from cep.proofs.measure import CodeMetrics, measure, worst_of
 from cep.search.dnf import dnf_search
 from cep.search.light import best_snapshot, random_codes
 from cep.search.objective import Objective

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.camera import Camera, capture
+from cep.optics.camera import LIGHT_LEVELS, Camera, capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.optics.mtf import CodeMetrics
+from cep.proofs.measure import CodeMetrics
 from cep.restoration import restore
 from cep.restoration.direction import DirectionResult, detect_direction
 from cep.search.annealing.anneal import SearchResult, anneal
@@ -26,13 +26,10 @@ from motdiff.motions import quadratic
 from motdiff.simulate import to_linear, visible
 from motdiff.trajectory import Trajectory
 
-__all__ = ["LIGHT_LEVELS", "Chain", "Scene", "Shot", "bundled_scene", "own_photo", "run_chain"]
+__all__ = ["Chain", "Scene", "Shot", "bundled_scene", "own_photo", "run_chain"]
 
 
 FloatArray = NDArray[np.float64]
-
-LIGHT_LEVELS = (100.0, 1_000.0, 10_000.0, 100_000.0)
-"""Photo-electrons at full scale at which coding is compared with not coding: from starlight to studio."""
 
 _DUTY = (0.35, 0.75)
 _MOST_CHIPS = 64

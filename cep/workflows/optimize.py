@@ -12,7 +12,7 @@ import numpy as np
 
 from cep.io.files import StoredCode, plain
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import CodeMetrics
+from cep.proofs.measure import CodeMetrics
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 

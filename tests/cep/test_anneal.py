@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from cep.codes.published import PUBLISHED
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import measure
 from cep.proofs.certify.minimum import min_chip
+from cep.proofs.measure import measure
 from cep.search.annealing.anneal import anneal
 from cep.search.annealing.proposals import keeps_runs
 from cep.search.annealing.terms import limits_of

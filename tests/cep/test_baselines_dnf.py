@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import chip_noise_db, measure
+from cep.optics.mtf import chip_noise_db
+from cep.proofs.measure import measure
 from cep.search.dnf import dnf_code, dnf_problem
 from motdiff.trajectory import Trajectory
 

@@ -25,7 +25,7 @@ from cep.codes.published import published
 from cep.io.images import write_image
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import measure
+from cep.proofs.measure import measure
 from cep.restoration.wiener import wiener
 from motdiff.estimators.base import MotionEstimate
 from motdiff.motions import boracchi_foi

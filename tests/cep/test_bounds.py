@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from cep.optics.band import band_samples
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis
-from cep.optics.mtf import measure
 from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip
+from cep.proofs.measure import measure
 from cep.search.bounding import relaxation
 from cep.search.bounding.bounds import bound, relaxed_minimum
 from cep.search.bounding.motion_basis import chip_ceilings

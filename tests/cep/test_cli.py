@@ -19,7 +19,7 @@ from cep.io.files import read_code, read_psf
 from cep.io.images import read_photo, write_image
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf, coded_psf
-from cep.optics.mtf import measure
+from cep.proofs.measure import measure
 from hw.export import EXPORTERS
 from motdiff.io.trajectories import StoredMotion, read_motion, write_motion
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift

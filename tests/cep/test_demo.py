@@ -8,11 +8,11 @@ import pytest
 
 from cep.io.files import read_code
 from cep.io.images import read_photo
-from cep.optics.camera import Camera
+from cep.optics.camera import LIGHT_LEVELS, Camera
 from cep.report.demo_page import DEMO_PICTURES, demo_report, verdict
 from cep.report.result_page import html
 from cep.workflows.demo import DEMO_FILES, write_demo
-from cep.workflows.demo_chain import LIGHT_LEVELS, Scene, bundled_scene, own_photo, run_chain
+from cep.workflows.demo_chain import Scene, bundled_scene, own_photo, run_chain
 from hw.export import EXPORTERS
 from motdiff.estimators.reference import ReferenceEstimator
 from motdiff.io.trajectories import read_motion

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import measure
 from cep.optics.response import ShutterResponse
+from cep.proofs.measure import measure
 from cep.search.problem import SearchProblem
 from cep.workflows.compare import check_resolved, expected_psnr_db, judge, limits_of_device, response_of_device
 from hw.device import DeviceProfile, load_profile

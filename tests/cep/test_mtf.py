@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate
 
-from cep.optics.band import band_samples, circle_samples, straight_axis, uniform_length_px
+from cep.optics.band import band, band_samples, circle_samples, straight_axis, uniform_length_px
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
-from cep.optics.mtf import SCENE_STD, band, chip_noise_db, inverse_scene, measure, noise_variance, wiener_mse, worst_of
+from cep.optics.mtf import SCENE_STD, chip_noise_db, inverse_scene, noise_variance, wiener_mse
 from cep.proofs.certify.minimum import chip_minimum, min_chip, mtf_minimum
+from cep.proofs.measure import measure, worst_of
 from motdiff.trajectory import Trajectory
 
 RASKAR = ShutterCode("1010000111000001010000110011110111010111001001100111")

@@ -8,10 +8,11 @@ from hypothesis.extra.numpy import arrays
 from matplotlib.text import Text
 
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import chip_noise_db, measure
+from cep.optics.mtf import chip_noise_db
 from cep.plots.canvas import png_bytes
 from cep.plots.pareto import pareto_figure
 from cep.proofs.certify.minimum import min_chip
+from cep.proofs.measure import measure
 from cep.search.fronts.front import Front, FrontPoint, knees, non_dominated
 from cep.search.fronts.pareto import front_points, pareto_front
 from cep.search.objective import Objective

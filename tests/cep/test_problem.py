@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from cep.optics.band import band_samples
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
-from cep.optics.mtf import measure, worst_of
 from cep.optics.response import ShutterResponse
+from cep.proofs.measure import measure, worst_of
 from cep.search.limits import Limits, feasible, fixed_mask
 from cep.search.problem import Scenario, SearchProblem
 from cep.search.scenarios import drifted

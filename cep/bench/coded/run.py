@@ -358,5 +358,5 @@ def code_version(design: str) -> str:
 
 def photo_version() -> str:
     """Fingerprint of what takes, restores and compares a photo."""
-    used = ["cep.restoration", "cep.optics.mtf", "motdiff.metrics", "motdiff.simulate"]
+    used = ["cep.restoration", "cep.proofs.measure", "motdiff.metrics", "motdiff.simulate"]
     return source_version(used, alone=_EXPOSED, files=[_DENOISER])

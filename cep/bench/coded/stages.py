@@ -19,7 +19,7 @@ from cep.bench.datasets import Cut, sharp_scene
 from cep.optics.camera import Camera, capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.optics.mtf import CodeMetrics, measure
+from cep.proofs.measure import CodeMetrics, measure
 from cep.restoration import restore
 from cep.restoration.direction import detect_direction
 from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cep.optics.band import straight_axis
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import CodeMetrics
+from cep.proofs.measure import CodeMetrics
 from cep.search.annealing.chains import Cooling, Crew, Walks
 from cep.search.annealing.polish import Polished, polish
 from cep.search.annealing.terms import lay_out

@@ -43,7 +43,7 @@ class Bound:
         No code's smallest |P| over the unit circle exceeds it, chips.
     noise : float
         No code's ``10 log10 mean 1/|H|^2`` lies below it, worst scenario and direction; light-true. The mean is that of
-        :func:`cep.optics.mtf.measure`; on the unit circle it is the one over the whole circle.
+        :func:`cep.proofs.measure.measure`; on the unit circle it is the one over the whole circle.
     method : dict of str to str
         The argument that won for each of the three.
     proofs : tuple of DualProof

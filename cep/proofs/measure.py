@@ -1,0 +1,141 @@
+"""Figures of a code along a trajectory: its smallest MTF with a proven bound, flatness, noise gain, Wiener error."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cep.optics.band import band_samples, uniform_length_px
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import open_path
+from cep.optics.mtf import HOPELESS_DB, noise_variance, wiener_mse
+from cep.optics.response import ShutterResponse
+from cep.proofs.certify.minimum import min_chip, mtf_minimum
+from motdiff.trajectory import Trajectory
+
+__all__ = ["CodeMetrics", "measure", "worst_of"]
+
+_ZERO = 1e-12  # |H| below this is rounding
+
+
+@dataclass(frozen=True)
+class CodeMetrics:
+    """Figures of one code along one trajectory, light-true: an all-open code has H(0) = 1.
+
+    Attributes
+    ----------
+    min_mtf, min_mtf_lower : float
+        Smallest |H| over the band's continuum: the value reached, and a proven lower bound.
+    min_over_duty : float
+        ``min_mtf`` relative to DC.
+    min_chip : float or None
+        Smallest |P| over the unit circle, in chips; uniform straight motion only.
+    flatness_var : float
+        Variance of |H| over the band.
+    flatness_ratio : float
+        Smallest over largest |H|, 0..1; the largest is the duty, at DC.
+    noise_gain_db : float
+        ``10 log10 mean 1/|H|^2``: noise of the inverse filter relative to a still, all-open exposure's. Infinite when a
+        sample falls on a zero.
+    dnf_db : float
+        The same relative to DC, 20 log10 of the deconvolution noise factor.
+    mse_db : float
+        ``10 log10`` of the expected mean square error of the Wiener restoration of a 1/f^2 scene; full scale is 1, so
+        its negative is the expected PSNR.
+    """
+
+    min_mtf: float
+    min_mtf_lower: float
+    min_over_duty: float
+    min_chip: float | None
+    flatness_var: float
+    flatness_ratio: float
+    noise_gain_db: float
+    dnf_db: float
+    mse_db: float
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Fields for JSON; noise gains above :data:`HOPELESS_DB` are None, which JSON writes as null."""
+        figures = asdict(self)
+        for name in ("noise_gain_db", "dnf_db"):
+            if not figures[name] <= HOPELESS_DB:
+                figures[name] = None
+        return figures
+
+    def in_words(self, name: str) -> float | str | None:
+        """One field for a table: "> 100" for a noise gain above :data:`HOPELESS_DB`."""
+        value: float | None = getattr(self, name)
+        hopeless = name in ("noise_gain_db", "dnf_db") and value is not None and not value <= HOPELESS_DB
+        return f"> {HOPELESS_DB:.0f}" if hopeless else value
+
+
+def measure(
+    trajectory: Trajectory,
+    code: ShutterCode,
+    *,
+    camera: Camera | None = None,
+    budget: int = 20_000,
+    response: ShutterResponse | None = None,
+    edges: ArrayLike | None = None,
+) -> CodeMetrics:
+    """Measure a code along a trajectory taken as given; measure ``trajectory.reversed()`` for the other direction.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    code : ShutterCode
+    camera : Camera, optional
+        For ``mse_db``; ``Camera()`` when omitted.
+    budget : int
+        Frequencies that the lower bound of the minimum may look at.
+    response : ShutterResponse, optional
+        How the shutter opens and closes; at once when omitted.
+    edges : (n + 1,) array_like, optional
+        Chip boundaries as fractions of the exposure; evenly spread over it when omitted. With either, the duty that
+        the figures are relative to is the light that came through, and ``min_chip`` is None.
+
+    References
+    ----------
+    Agrawal and Raskar, "Optimal single image capture for motion deblurring", CVPR 2009: deconvolution noise.
+    """
+    samples = band_samples(trajectory)
+    on_time = response is None and edges is None
+    path = open_path(trajectory, code, response=response, edges=edges)
+    duty = code.duty if on_time else float(path.dt.sum())
+    modulus = np.abs(path.otf(samples.fx, samples.fy))
+    minimum = mtf_minimum(trajectory, code, budget=budget, response=response, edges=edges)
+    lowest = min(minimum.upper, float(modulus.min()))
+    mean = float(samples.weight @ modulus)
+    with np.errstate(divide="ignore"):
+        noise_gain_db = float(10 * np.log10(samples.weight @ (1 / np.where(modulus < _ZERO, 0.0, modulus) ** 2)))
+    mse = wiener_mse(modulus**2, samples, noise_variance(camera or Camera(), duty))
+    return CodeMetrics(
+        min_mtf=lowest,
+        min_mtf_lower=min(minimum.lower, lowest),
+        min_over_duty=lowest / duty,
+        min_chip=min_chip(code) if on_time and uniform_length_px(trajectory) is not None else None,
+        flatness_var=float(samples.weight @ (modulus - mean) ** 2),
+        flatness_ratio=lowest / duty,
+        noise_gain_db=noise_gain_db,
+        dnf_db=noise_gain_db + 20 * float(np.log10(duty)),
+        mse_db=10 * float(np.log10(mse)),
+    )
+
+
+def worst_of(*metrics: CodeMetrics) -> CodeMetrics:
+    """Worst of each figure on its own, as over the two directions of one path."""
+    if not metrics:
+        raise ValueError("metrics: needs at least one")
+    higher_is_better = {"min_mtf", "min_mtf_lower", "min_over_duty", "min_chip", "flatness_ratio"}
+
+    def worst(name: str) -> Any:
+        values = [value for item in metrics if (value := getattr(item, name)) is not None]
+        if not values:
+            return None
+        return float(min(values) if name in higher_is_better else max(values))
+
+    return CodeMetrics(**{field.name: worst(field.name) for field in fields(CodeMetrics)})
