@@ -73,8 +73,8 @@ def summed_up(values: Iterable[float]) -> Summary:
         return Summary(0, *(float("nan"),) * 5)
     with np.errstate(invalid="ignore"):  # infinite less infinite
         sd = float(known.std(ddof=1)) if known.size > 1 else float("nan")
-        q05, median, q95 = np.quantile(known, (0.05, 0.5, 0.95), method="linear")
-    return Summary(known.size, float(known.mean()), float(median), sd, float(q05), float(q95))
+    q05, median, q95 = (_quantile(np.sort(known), share) for share in (0.05, 0.5, 0.95))
+    return Summary(known.size, float(known.mean()), median, sd, q05, q95)
 
 
 def mean_interval(
@@ -165,6 +165,14 @@ def crossed_interval(
     error = float(np.sqrt(max(sum(variances) - both, *variances)))
     reach = float(stats.t.ppf((1 + level) / 2, scarcest - 1)) * error
     return Interval(mean, mean - reach, mean + reach, level, x.size, scarcest)
+
+
+def _quantile(ordered: FloatArray, share: float) -> float:
+    """Interpolate linearly; at a value itself it is that value, though the next one is infinite (NaN with numpy)."""
+    place = share * (ordered.size - 1)
+    below = int(place)
+    first, second = ordered[below], ordered[min(below + 1, ordered.size - 1)]
+    return float(first if place == below or first == second else first + (place - below) * (second - first))
 
 
 def _checked(values: ArrayLike, labels: Sequence[Sequence[Hashable]], level: float) -> FloatArray:

@@ -33,19 +33,20 @@ class Column:
         Which row may be bold; None: no row.
     digits : int
         Decimals.
-    middle : {"mean", "median"}
-        What is shown. The median where some cells are infinite; it has no interval and is never bold.
+    middle : {"mean", "median", "share"}
+        What is shown. The median where some cells are infinite, the share of cells where they are 0 or 1; these have no
+        interval and are never bold.
     """
 
     figure: str
     head: str
     better: Literal["high", "low"] | None = None
     digits: int = 2
-    middle: Literal["mean", "median"] = "mean"
+    middle: Literal["mean", "median", "share"] = "mean"
 
     def shown(self, entry: Entry) -> float:
-        """Return the mean or median of a row, whichever is shown."""
-        return entry.summary.mean if self.middle == "mean" else entry.summary.median
+        """Return the figure of a row that is shown."""
+        return entry.summary.median if self.middle == "median" else entry.summary.mean
 
 
 @dataclass(frozen=True)

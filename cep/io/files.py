@@ -40,6 +40,7 @@ __all__ = [
 CODE_SCHEMA = "cep.code/1"
 FRONT_SCHEMA = "cep.front/1"
 PSF_SUFFIXES = (".npy", ".mat", ".png")
+_MAT_TEXT, _MAT_TEXT_BYTES = b"MATLAB 5.0 MAT-file, written by coded-exposure", 116  # "MAT-File Format", MathWorks
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,8 @@ def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple
     np.save(stored, kernel)  # to a file it would not say why a disk took no more
     matlab = BytesIO()
     savemat(matlab, {"psf": kernel.astype(np.float64)})
-    contents = (stored.getvalue(), matlab.getvalue(), cv2.imencode(".png", grey)[1].tobytes())
+    undated = _MAT_TEXT.ljust(_MAT_TEXT_BYTES) + matlab.getvalue()[_MAT_TEXT_BYTES:]  # SciPy puts the date there
+    contents = (stored.getvalue(), undated, cv2.imencode(".png", grey)[1].tobytes())
     with new_files(paths) as made:
         for path, content in zip(paths, contents, strict=True):
             write_bytes(made[path], content)

@@ -85,13 +85,17 @@ def save(figure: Figure, path: Path | str) -> None:
 
 
 def undated(figure: Figure, kind: str, *, dpi: int = _DPI) -> bytes:
-    """Render a figure as "png", "pdf" or "svg", without the date that would make the same figure another file.
+    """Render a figure as "png", "pdf" or "svg", without what would make the same figure another file each time.
 
-    In memory, because on a full disk matplotlib's PDF writer hides the error behind one of its own.
+    That is the date, and in SVG the names of its parts. In memory, because on a full disk matplotlib's PDF writer hides
+    the error behind one of its own.
     """
+    from matplotlib import rc_context
+
     stream = io.BytesIO()
     dates = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
-    figure.savefig(stream, format=kind, dpi=dpi, metadata=dates.get(kind))
+    with rc_context({"svg.hashsalt": "coded-exposure"}):
+        figure.savefig(stream, format=kind, dpi=dpi, metadata=dates.get(kind))
     return stream.getvalue()
 
 

@@ -33,7 +33,7 @@ class Checkpoint:
     step : int
         Updates done.
     tensors : mapping from name to Tensor
-        Weights (``model.``), their average (``ema.``) and Adam's moments (``adam.``).
+        Weights (``model.``), their average (``ema.``), Adam's moments (``adam.``) and the smoothed ``loss``.
     config : mapping
         The run's configuration as plain values.
     seconds : float

@@ -8,18 +8,17 @@ import math
 import sys
 from pathlib import Path
 
-from motdiff.io.outputs import write_bytes
+from motdiff.io.outputs import write_bytes, write_text
 from motdiff.training.loop import Losses
 
 __all__ = ["RunLog", "read_log"]
 
 _FIELDS = ("step", "samples", "loss", "path", "dwell", "gradient", "samples_per_s", "validation_mnc")
 _EVERY_STEPS = 50
-_SMOOTH = 0.95
 
 
 class RunLog:
-    """Log of a run; a later piece goes on in the same files.
+    """Log of a run; a later piece goes on in the same files, as if there had been one piece only: see :meth:`resume`.
 
     Parameters
     ----------
@@ -34,7 +33,6 @@ class RunLog:
     def __init__(self, folder: Path, *, steps: int, speaks: bool = True) -> None:
         self._folder, self._steps, self._speaks = folder, steps, speaks
         self._began: tuple[int, float] | None = None
-        self._loss = math.nan
         self._last_mnc = math.nan
         self._live = sys.stderr.isatty()
 
@@ -60,23 +58,60 @@ class RunLog:
             return
         if self._began is None:
             self._began = (step, seconds)
-        self._loss = losses.total if math.isnan(self._loss) else _SMOOTH * self._loss + (1 - _SMOOTH) * losses.total
         if step % _EVERY_STEPS:
             return
         steps, spent = step - self._began[0], seconds - self._began[1]
         rate = steps * batch / spent if spent > 0 else math.nan
-        self._row([step, step * batch, self._loss, losses.path, losses.dwell, losses.gradient, rate, math.nan])
+        self._row([step, step * batch, losses.smoothed, losses.path, losses.dwell, losses.gradient, rate, math.nan])
         left_min = (self._steps - step) * batch / rate / 60
-        text = f"step {step}/{self._steps}  loss {self._loss:.4f}  MNC {self._last_mnc:.3f}  {rate:.1f} samples/s"
+        text = f"step {step}/{self._steps}  loss {losses.smoothed:.4f}  MNC {self._last_mnc:.3f}  {rate:.1f} samples/s"
         text += f"  {seconds / 60:.0f} min done, {left_min:.0f} left"
         print(f"{_cleared(self._live)}{text}", end="" if self._live else "\n", file=sys.stderr, flush=True)  # noqa: T201
 
-    def validated(self, step: int, score: float) -> None:
-        """Note a validation and draw the plot anew."""
+    def resume(self, step: int, *, between: bool) -> bool:
+        """Leave out the rows of steps that are to be done again; returns whether there is a validation of ``step``.
+
+        Parameters
+        ----------
+        step : int
+            Updates done.
+        between : bool
+            Whether a validation of this step was made only because a piece ended there: it is left out as well.
+        """
+        path = self._folder / "log.csv"
+        if not path.exists():
+            return False
+        with path.open(newline="", encoding="utf-8") as file:
+            lines = file.readlines()
+        kept, validated = lines[:1], False
+        for line in lines[1:]:
+            values = next(csv.reader([line]), [])
+            if len(values) < len(_FIELDS) or int(values[0]) > step:  # cut short by a kill, or after the checkpoint
+                continue
+            last = int(values[0]) == step and values[-1] != ""
+            if not (last and between):
+                kept.append(line)
+                validated |= last
+        if self._speaks and len(kept) < len(lines):
+            write_text(path, "".join(kept))
+        return validated
+
+    def validated(self, step: int, score: float, *, loss: float) -> None:
+        """Note a validation and draw the plot anew.
+
+        Parameters
+        ----------
+        step : int
+            Updates done.
+        score : float
+            MNC.
+        loss : float
+            Smoothed, of the step.
+        """
         if not self._speaks:
             return
         self._last_mnc = score
-        self._row([step, math.nan, self._loss, math.nan, math.nan, math.nan, math.nan, score])
+        self._row([step, math.nan, loss, math.nan, math.nan, math.nan, math.nan, score])
         self.say(f"step {step}: validation MNC {score:.4f}")
         self._plot()
 
@@ -113,10 +148,7 @@ class RunLog:
 
 
 def read_log(path: Path | str) -> list[dict[str, float]]:
-    """Rows of a ``log.csv``; what a row does not hold is NaN.
-
-    After a kill, steps since the last checkpoint stand twice: the later row is the one that counts.
-    """
+    """Rows of a ``log.csv``; what a row does not hold is NaN."""
     with Path(path).open(newline="", encoding="utf-8") as file:
         return [{name: float(row[name]) if row[name] else math.nan for name in _FIELDS} for row in csv.DictReader(file)]
 

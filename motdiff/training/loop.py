@@ -32,6 +32,7 @@ from motdiff.weights import load_start
 __all__ = ["Losses", "Trainer", "learning_rate", "loss_of"]
 
 _BETAS = (0.9, 0.999)
+_SMOOTH = 0.95
 _NOISE, _DROPOUT = 3, 4  # seeds of their own, and not the batch's: else a motion would meet the same noise every time
 
 
@@ -45,12 +46,15 @@ class Losses:
         Loss minimised, its path part, and the dwell part before its weight.
     gradient : float
         Norm of the gradient before clipping.
+    smoothed : float
+        Running mean of the loss over the steps of the whole run so far, mostly over the last twenty.
     """
 
     total: float
     path: float
     dwell: float
     gradient: float
+    smoothed: float
 
 
 class Trainer:
@@ -71,6 +75,8 @@ class Trainer:
         Updates done.
     seconds : float
         Time spent on them, over all pieces of the run.
+    loss : float
+        Smoothed over them, NaN before the first.
     schedule : Schedule
         Of the noise.
     """
@@ -88,7 +94,7 @@ class Trainer:
             mine.to(self.device)
             mine.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average.eval().requires_grad_(False)
-        self.step, self.seconds = 0, 0.0
+        self.step, self.seconds, self.loss = 0, 0.0, math.nan
         self.schedule = cosine_schedule()
         self._adam = torch.optim.Adam(self.network.parameters(), lr=config.optimiser.rate, betas=_BETAS)
         self._rank, self._world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
@@ -127,11 +133,12 @@ class Trainer:
         self._adam.step()
         self._average()
         self.step += 1
-        told = Losses(float(total.detach()), float(path.detach()), float(dwell.detach()), float(gradient))
-        if not math.isfinite(told.total):
-            raise FloatingPointError(f"the loss became {told.total} at step {self.step}; lower optimiser.rate")
+        loss = float(total.detach())
+        if not math.isfinite(loss):
+            raise FloatingPointError(f"the loss became {loss} at step {self.step}; lower optimiser.rate")
+        self.loss = loss if math.isnan(self.loss) else _SMOOTH * self.loss + (1 - _SMOOTH) * loss
         self.seconds += time.monotonic() - began
-        return told
+        return Losses(loss, float(path.detach()), float(dwell.detach()), float(gradient), self.loss)
 
     def save(self, folder: Path | str) -> None:
         """Write the exact state (from the leading process only)."""
@@ -142,6 +149,7 @@ class Trainer:
         for name, parameter in self.network.named_parameters():
             state = self._adam.state.get(parameter, {})
             tensors |= {f"adam.{key}.{name}": state[key] for key in ("exp_avg", "exp_avg_sq") if key in state}
+        tensors["loss"] = torch.tensor(self.loss, dtype=torch.float64)
         write_checkpoint(folder, Checkpoint(self.step, tensors, self.config.as_dict(), self.seconds))
 
     def resume(self, folder: Path | str) -> bool:
@@ -174,6 +182,7 @@ class Trainer:
                     "exp_avg_sq": torch.empty_like(parameter).copy_(second[name]),
                 }
         self.step, self.seconds = checkpoint.step, checkpoint.seconds
+        self.loss = float(checkpoint.tensors.get("loss", math.nan))  # earlier versions did not keep it
         return True
 
     def _losses(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, Tensor]:

@@ -146,21 +146,30 @@ def train(
         log = RunLog(place, steps=config.optimiser.steps, speaks=trainer.leads)
         log.say(f"{'resumed at' if resumed else 'new run, from'} step {trainer.step} of {config.optimiser.steps}")
         sources = make_sources(config, device=device, workers=workers)
+
+        def due() -> bool:
+            return trainer.step % pace.validate_steps == 0 or trainer.step == config.optimiser.steps
+
+        def validate() -> None:
+            log.validated(trainer.step, validation_mnc(trainer, sources.validation), loss=trainer.loss)
+
+        validated = log.resume(trainer.step, between=not due())
         with _asked_to_stop() as asked:
             while trainer.step < config.optimiser.steps:
-                losses = trainer.update(sources.training)
+                if trainer.leads and trainer.step and due() and not validated:
+                    validate()
+                losses, validated = trainer.update(sources.training), False
                 now = time.monotonic()
                 log.step(trainer.step, losses, batch=config.optimiser.batch, seconds=trainer.seconds)
                 if _agreed(asked() or now - began > 60 * pace.minutes, device=trainer.device):
                     break
-                if trainer.leads and trainer.step % pace.validate_steps == 0 and trainer.step < config.optimiser.steps:
-                    log.validated(trainer.step, validation_mnc(trainer, sources.validation))
                 if now - saved > pace.save_s:
                     trainer.save(place / "checkpoint")
                     saved = time.monotonic()
         trainer.save(place / "checkpoint")
         if trainer.leads:
-            log.validated(trainer.step, validation_mnc(trainer, sources.validation))
+            if not validated:
+                validate()
             log.close()
     finally:
         if distributed:

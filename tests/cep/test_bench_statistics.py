@@ -28,6 +28,11 @@ def test_summaries_of_little():
     assert (one.n, one.mean, one.median, one.q05, one.q95) == (1, 3, 3, 3, 3)
     assert math.isnan(one.sd)
     assert summed_up([1, math.inf]).mean == math.inf
+    assert summed_up([math.inf, 20, 22.5]).median == 22.5
+    assert summed_up([math.inf, math.inf, 20]).median == math.inf
+    values = np.random.default_rng(0).normal(size=38)
+    found = summed_up(values)
+    assert (found.q05, found.median, found.q95) == pytest.approx(np.quantile(values, (0.05, 0.5, 0.95)), rel=1e-12)
 
 
 @given(st.integers(-(10**6), 10**6), st.integers(2, 30), st.integers(1, 5))

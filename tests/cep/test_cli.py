@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from cep.cli import console
 from cep.cli.main import app
 from cep.cli.options import load_code
 from cep.io.files import read_code, read_psf
-from cep.io.images import read_photo, write_image
+from cep.io.images import read_image, read_photo, write_image
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf, coded_psf
 from cep.proofs.measure import measure
@@ -496,6 +497,24 @@ def test_calibrate_with_a_sharp_photo(cep, workplace):
     assert stored.source["method"] == "reference"
     assert stored.trajectory.direction == "unknown"
     assert mnc_subpixel(read_psf(found["psf"]), truth.psf(64)) > 0.95
+
+
+def test_files_of_levins_data_set_as_photos_and_psfs(cep, workplace):
+    """There y is x convolved with f turned by 180 degrees, here along a path that does not look the same turned."""
+    sharp, blurred = read_image("sharp.png"), read_image("blurred.png")
+    truth = read_motion("trajectory.json").trajectory.psf(25)
+    margin = (sharp.shape[0] - blurred.shape[0]) // 2
+    inner = sharp[margin:-margin, margin:-margin]
+    savemat("im01_ker01.mat", {"x": inner, "y": blurred, "f": truth[::-1, ::-1]})
+    found = cep.succeeds("calibrate", "im01_ker01.mat", "--method", "reference", "--sharp", "im01_ker01.mat")
+    assert Path("im01_ker01_motion/trajectory.json").exists()
+    assert any('"y" was taken as linear light' in line for line in found["warnings"])
+    assert mnc_subpixel(read_psf(found["psf"]), truth) > 0.95
+    assert mnc_subpixel(read_psf(found["psf"]), truth[::-1, ::-1]) < 0.9
+    found = cep.succeeds("deblur", "im01_ker01.mat", "--psf", "im01_ker01.mat", "--method", "tv", "-o", "restored.png")
+    assert found["residual"] < 0.02
+    gain_db = psnr_up_to_shift(read_image("restored.png"), inner) - psnr_up_to_shift(blurred, inner)
+    assert gain_db > 3
 
 
 def test_calibrate_from_a_gyroscope(cep, workplace):

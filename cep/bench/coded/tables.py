@@ -23,7 +23,7 @@ _GAIN = (  # infinite where an open shutter meets a straight motion
     Column("noise_gain_db", "noise gain, dB, median", middle="median"),
     Column("worse_noise_gain_db", "worse direction, dB, median", middle="median"),
 )
-_ZEROS = Column("zero", "share with a zero")
+_ZEROS = Column("zero", "zeros, share", middle="share")
 _FREE_LIGHT = ("snapshot", "strobe")
 _REFERENCE = "both-ways"
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 from importlib.metadata import version
 from os import cpu_count
@@ -40,6 +40,7 @@ Progress = Callable[[float, ShutterCode], None]
 Codes = NDArray[np.uint64]
 _SLICE = 2**30  # codes between looks at Ctrl-C: a tenth of a second
 _SLICES = 128  # at least, of a long proof, so that a better code helps it
+_FIRST_ROUND = 16  # slices side by side, the next round twice as many: early ones find the better codes
 _TIE = 1e-9  # minima as close as this are equal: the brighter code wins, then the shorter, then the first bits
 _GROWTH = 1.01  # of the limit, at which the scan's tables are made again
 _RESTARTS = 16
@@ -192,22 +193,18 @@ class _Proof:
 
     def _scan(self, length: int, threads: int, report: Callable[[float], None]) -> None:
         halt = np.zeros(1, dtype=np.bool_)
-        scanner = self._scanner(length)
-        spans = list(scanner.spans(min(_SLICE, max(2**16, 2**length // _SLICES))))
-        todo = [span for span in spans if span not in self.logs[length].done]
-        running: dict[Future[NDArray[np.int64]], tuple[int, int]] = {}
+        spans = list(self._scanner(length).spans(min(_SLICE, max(2**16, 2**length // _SLICES))))
+        todo, size = [span for span in spans if span not in self.logs[length].done], _FIRST_ROUND
         with ThreadPoolExecutor(threads) as pool:
             try:
-                while todo or running:
-                    while todo and len(running) < threads:
-                        if self.limit > _GROWTH * scanner.tables.limit:
-                            scanner = self._scanner(length)
-                        span = todo.pop(0)
-                        running[pool.submit(self._slice, scanner, span, halt)] = span
-                    for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        counts, span = future.result(), running.pop(future)
-                        self.logs[length] = self.logs[length].grown(span, counts)
+                while todo:
+                    # a round has one limit, so that what is discarded where does not depend on who is faster
+                    scanner, now, todo = self._scanner(length), todo[:size], todo[size:]
+                    running = {pool.submit(self._slice, scanner, span, halt): span for span in now}
+                    for future in as_completed(running):
+                        self.logs[length] = self.logs[length].grown(running[future], future.result())
                         report(len(self.logs[length].done) / len(spans))
+                    size *= 2
             finally:
                 halt[0] = True
         self.logs[length] = replace(self.logs[length], done=(), complete=True)

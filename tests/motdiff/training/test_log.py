@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from motdiff.training.log import RunLog, read_log
 from motdiff.training.loop import Losses
 
-LOSSES = Losses(total=1.5, path=1.0, dwell=2.5, gradient=0.75)
+LOSSES = Losses(total=1.5, path=1.0, dwell=2.5, gradient=0.75, smoothed=1.25)
 
 
 def steps(log, numbers, *, seconds_per_step=0.5, losses=LOSSES, batch=16):
@@ -24,7 +24,7 @@ def test_fifty_steps_are_a_row(tmp_path):
     first = rows[0]
     assert first["samples"] == 50 * 16
     assert (first["path"], first["dwell"], first["gradient"]) == (1.0, 2.5, 0.75)
-    assert first["loss"] == 1.5
+    assert first["loss"] == 1.25
     assert math.isnan(first["validation_mnc"])
 
 
@@ -43,14 +43,6 @@ def test_a_piece_may_begin_on_a_row(tmp_path):
     assert math.isnan(row["samples_per_s"])
 
 
-def test_the_loss_is_smoothed(tmp_path):
-    log = RunLog(tmp_path, steps=100)
-    steps(log, range(1, 50))
-    steps(log, [50], losses=replace(LOSSES, total=21.5))
-    (row,) = read_log(tmp_path / "log.csv")
-    assert row["loss"] == pytest.approx(0.95 * 1.5 + 0.05 * 21.5)
-
-
 def test_large_counts_stay_exact(tmp_path):
     steps(RunLog(tmp_path, steps=10**7), [1_234_550])
     (row,) = read_log(tmp_path / "log.csv")
@@ -61,20 +53,20 @@ def test_large_counts_stay_exact(tmp_path):
 def test_a_validation_is_a_row_a_line_and_a_plot(tmp_path, capsys):
     log = RunLog(tmp_path, steps=100)
     steps(log, range(1, 51))
-    log.validated(50, 0.8125)
+    log.validated(50, 0.8125, loss=1.25)
     rows = read_log(tmp_path / "log.csv")
     assert [row["validation_mnc"] for row in rows][1] == 0.8125
-    assert rows[1]["loss"] == 1.5
+    assert rows[1]["loss"] == 1.25
     assert math.isnan(rows[1]["samples"])
     assert (tmp_path / "progress.png").read_bytes().startswith(b"\x89PNG")
     told = capsys.readouterr()
     assert told.out == ""
     assert "step 50: validation MNC 0.8125" in told.err
-    assert "step 50/100  loss 1.5000" in told.err
+    assert "step 50/100  loss 1.2500" in told.err
 
 
 def test_a_validation_before_any_step(tmp_path):
-    RunLog(tmp_path, steps=100).validated(0, 0.25)
+    RunLog(tmp_path, steps=100).validated(0, 0.25, loss=math.nan)
     (row,) = read_log(tmp_path / "log.csv")
     assert math.isnan(row["loss"])
     assert (tmp_path / "progress.png").exists()
@@ -92,18 +84,19 @@ def test_steps_done_twice_after_a_kill_are_drawn_once(tmp_path, monkeypatch):
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_args, **_kwargs: drawn.append(figure))
     steps(RunLog(tmp_path, steps=500), range(1, 201))
     log = RunLog(tmp_path, steps=500)
-    steps(log, range(101, 201), losses=replace(LOSSES, total=0.5))
-    log.validated(200, 0.5)
+    steps(log, range(101, 201), losses=replace(LOSSES, smoothed=0.5))
+    log.validated(200, 0.5, loss=0.5)
     (line,) = drawn[0].axes[0].lines
     assert line.get_xdata().tolist() == [50, 100, 150, 200]
-    assert line.get_ydata().tolist() == [1.5, 1.5, 0.5, 0.5]
+    assert line.get_ydata().tolist() == [1.25, 1.25, 0.5, 0.5]
 
 
 def test_the_other_processes_of_a_group_are_silent(tmp_path, capsys):
     log = RunLog(tmp_path, steps=100, speaks=False)
     steps(log, range(1, 101))
     log.say("hello")
-    log.validated(100, 0.5)
+    log.validated(100, 0.5, loss=1.0)
+    assert not log.resume(0, between=True)
     log.close()
     assert list(tmp_path.iterdir()) == []
     assert capsys.readouterr() == ("", "")
@@ -116,3 +109,24 @@ def test_a_row_cut_short_by_a_kill_can_be_read(tmp_path):
     rows = read_log(tmp_path / "log.csv")
     assert rows[1]["step"] == 100
     assert math.isnan(rows[1]["loss"])
+
+
+def test_a_resumed_log_holds_nothing_that_will_be_done_again(tmp_path):
+    log = RunLog(tmp_path, steps=1000)
+    steps(log, range(1, 101))
+    log.validated(100, 0.5, loss=1.0)
+    steps(log, range(101, 171))
+    log.validated(170, 0.6, loss=1.0)  # where the piece ended
+    whole = (tmp_path / "log.csv").read_bytes()
+    with (tmp_path / "log.csv").open("a") as file:
+        file.write("200,32")  # cut short by a kill
+    assert RunLog(tmp_path, steps=1000).resume(170, between=False)
+    assert (tmp_path / "log.csv").read_bytes() == whole
+    assert not RunLog(tmp_path, steps=1000).resume(170, between=True)
+    assert [row["step"] for row in read_log(tmp_path / "log.csv")] == [50, 100, 100, 150]
+    assert not RunLog(tmp_path, steps=1000).resume(120, between=True)
+    assert [row["step"] for row in read_log(tmp_path / "log.csv")] == [50, 100, 100]
+    assert RunLog(tmp_path, steps=1000).resume(100, between=False)
+    assert not RunLog(tmp_path, steps=1000).resume(0, between=True)
+    assert read_log(tmp_path / "log.csv") == []
+    assert not RunLog(tmp_path / "none", steps=1000).resume(0, between=True)

@@ -14,7 +14,7 @@ from motdiff.network.losses import denoising_loss, dwell_loss, structure_loss
 from motdiff.network.physics_maps import spectral_maps
 from motdiff.network.sampling import sample_paths
 from motdiff.training import loop as module
-from motdiff.training.checkpoint import read_checkpoint
+from motdiff.training.checkpoint import read_checkpoint, write_checkpoint
 from motdiff.training.config import DataConfig, LossConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch, LiveSource
 from motdiff.training.loop import Trainer, learning_rate, loss_of
@@ -103,9 +103,31 @@ def test_a_resumed_run_is_bit_equal_to_one_that_never_stopped(tmp_path, name):
     at_the_end = saved(whole, tmp_path / "whole")
     assert_equal(saved(second, tmp_path / "pieces"), at_the_end)
     kinds = {key.split(".")[0] for key in at_the_end.tensors}
-    assert kinds == {"model", "ema", "adam"}
+    assert kinds == {"model", "ema", "adam", "loss"}
     moments = [key for key in at_the_end.tensors if key.startswith("adam.")]
     assert len(moments) == 2 * len(list(whole.network.parameters()))
+
+
+def test_the_loss_is_smoothed_over_the_whole_run():
+    trainer = Trainer(VARIANTS["plain"])
+    assert math.isnan(trainer.loss)
+    told = train(trainer, 4)
+    smoothed = told[0].total
+    for losses in told[1:]:
+        smoothed = 0.95 * smoothed + 0.05 * losses.total
+    assert trainer.loss == told[-1].smoothed == pytest.approx(smoothed)
+
+
+def test_a_checkpoint_of_before_the_loss_was_kept(tmp_path):
+    trainer = Trainer(VARIANTS["plain"])
+    train(trainer, 2)
+    kept = saved(trainer, tmp_path / "checkpoint")
+    earlier = {name: tensor for name, tensor in kept.tensors.items() if name != "loss"}
+    write_checkpoint(tmp_path / "checkpoint", replace(kept, tensors=earlier))
+    second = Trainer(VARIANTS["plain"])
+    assert second.resume(tmp_path / "checkpoint")
+    (losses,) = train(second, 1)
+    assert losses.smoothed == losses.total
 
 
 def test_a_kill_between_the_renames_costs_nothing_but_the_steps_since(tmp_path):

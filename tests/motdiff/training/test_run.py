@@ -1,6 +1,8 @@
 """Whole pieces of a training run: what they leave behind, how they end, and that several processes agree."""
 
+import csv
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -208,6 +210,48 @@ def test_no_minutes_are_one_step_and_the_next_piece_goes_on(prepared, tmp_path, 
     train(config, tmp_path)
     pieces, expected = (read_checkpoint(folder / "checkpoint").tensors for folder in (tmp_path, whole))
     assert all(torch.equal(pieces[name], tensor) for name, tensor in expected.items())
+
+
+@pytest.fixture
+def row_each_step(monkeypatch):
+    monkeypatch.setattr("motdiff.training.log._EVERY_STEPS", 1)
+
+
+def without_rates(folder):
+    """The log's rows but for the one column that is a time."""
+    with (folder / "log.csv").open(newline="") as file:
+        return [{**row, "samples_per_s": None} for row in csv.DictReader(file)]
+
+
+def test_the_log_of_pieces_is_that_of_one_run(prepared, tmp_path, row_each_step):
+    """Ended after each step, killed after a checkpoint, finished and started again: the same rows, the same loss."""
+    config, pace = from_prepared(prepared, optimiser=replace(ONCE, steps=5)), Pace(validate_steps=2)
+    train(config, tmp_path / "whole", pace=pace)
+    expected = without_rates(tmp_path / "whole")
+    assert [row["step"] for row in expected] == ["1", "2", "2", "3", "4", "4", "5", "5"]
+    pieces = tmp_path / "pieces"
+    for _ in range(3):
+        train(config, pieces, pace=replace(pace, minutes=0))
+    shutil.copytree(pieces / "checkpoint", tmp_path / "checkpoint")
+    train(config, pieces, pace=replace(pace, minutes=0))
+    shutil.rmtree(pieces / "checkpoint")  # what followed was lost
+    shutil.copytree(tmp_path / "checkpoint", pieces / "checkpoint")
+    for _ in range(2):
+        train(config, pieces, pace=pace)
+        assert without_rates(pieces) == expected
+
+
+def test_a_validation_that_a_kill_prevented_is_made_up_for(prepared, tmp_path, row_each_step):
+    config, pace = from_prepared(prepared, optimiser=replace(ONCE, steps=3)), Pace(validate_steps=2)
+    train(config, tmp_path / "whole", pace=pace)
+    pieces = tmp_path / "pieces"
+    for _ in range(2):
+        train(config, pieces, pace=replace(pace, minutes=0))
+    lines = (pieces / "log.csv").read_text().splitlines(keepends=True)
+    assert lines[-1].startswith("2,,")
+    (pieces / "log.csv").write_text("".join(lines[:-1]))
+    train(config, pieces, pace=pace)
+    assert without_rates(pieces) == without_rates(tmp_path / "whole")
 
 
 def test_a_finished_run_stays_as_it_is(prepared, tmp_path):
