@@ -330,13 +330,16 @@ READERS = {
     "mat photo": Reader(".mat", _levin_seeds, _photo),
     "levin": Reader(".mat", _levin_seeds, _levin),
     "denoiser": Reader(
-        ".safetensors", _file("cep", "restore", "denoiser", "denoiser.safetensors"), _denoiser, mend=_safetensors_mended
+        ".safetensors",
+        _file("cep", "restoration", "denoiser", "denoiser.safetensors"),
+        _denoiser,
+        mend=_safetensors_mended,
     ),
     "network": Reader(
         ".safetensors", _file("motdiff", "weights", "motdiff.safetensors"), _network, mend=_safetensors_mended
     ),
     "learned code": Reader(
-        ".safetensors", _file("cep", "baselines", "dce", "dce.safetensors"), _learned_code, mend=_safetensors_mended
+        ".safetensors", _file("cep", "codes", "dce", "dce.safetensors"), _learned_code, mend=_safetensors_mended
     ),
 }
 

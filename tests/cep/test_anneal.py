@@ -56,7 +56,7 @@ def test_agrees_with_brute_force(objective, where):
         "fast pulses": {"chips": 12, "max_open": 4, "min_period": 4, "open_range": (3, 8)},
     }[where]
     problem = SearchProblem(objective=objective, **options)
-    found = anneal(problem, rng=np.random.default_rng(0), steps=200_000)
+    found = anneal(problem, rng=np.random.default_rng(0), steps=200_000, time_s=np.inf)
     assert found.objective == pytest.approx(brute_force(problem), abs=1e-6)
 
 
@@ -64,7 +64,7 @@ def test_agrees_with_brute_force(objective, where):
 @pytest.mark.parametrize("direction", ["unknown", "forward"])
 def test_agrees_with_brute_force_on_a_curve(objective, direction):
     problem = SearchProblem.along(arc(), chips=10, open_range=(5, 5), objective=objective, direction=direction)
-    found = anneal(problem, rng=np.random.default_rng(0), steps=100_000)
+    found = anneal(problem, rng=np.random.default_rng(0), steps=100_000, time_s=np.inf)
     assert found.objective == pytest.approx(brute_force(problem), abs=1e-6)
 
 

@@ -171,7 +171,7 @@ def test_people_see_names_whole_and_reasons(cep, shots, guesses):
     folded = "".join(line[:width] for line in lines)
     assert long.replace(" ", "") in folded.replace(" ", "")
     assert "failed" in cep.out
-    assert "cep: warning: b.tif: not a PNG, JPEG or TIFF image" in cep.err
+    assert "cep: warning: b.tif: not a PNG, JPEG, TIFF or WebP image" in cep.err
     assert f"cep: warning: {long}: a guess" in cep.err
 
 
@@ -288,7 +288,7 @@ def broken_sharp():
         ((), twins, "shots: a.JPG and a.png would be written to one folder a; rename one of them"),
         ((), emptied, "shots: holds no photos (.png, .tif, .jpg, .webp or RAW files"),
         ((), taken, "shots_motion/b/trajectory.json: exists already, use --force"),
-        ((), broken_sharp, "sharp.png: not a PNG, JPEG or TIFF image"),
+        ((), broken_sharp, "sharp.png: not a PNG, JPEG, TIFF or WebP image"),
         (("--sharp", "nowhere.png"), None, "nowhere.png"),
         (("--method", "pmp"), None, "--sharp: not valid with --method pmp"),
         (("--samples", "3"), None, "--samples: not valid with --method reference"),

@@ -46,7 +46,7 @@ FOLDERS = {
 """Commands that write a folder, which is made when it is missing, and a file in it."""
 
 WORK = (
-    "cep.io.images._decode", "cep.workflows.calibrate.make_estimator", "cep.workflows.optimize.search",
+    "cep.io.images.decode", "cep.workflows.calibrate.make_estimator", "cep.workflows.optimize.search",
     "cep.cli.frames._search",
     "cep.search.fronts.pareto.pareto_front", "cep.proofs.certify.certificate.certify", "cep.plots.mtf_figure",
     "cep.restoration.restore", "cep.jobs.engine.run_cells", "cep.bench.coded.run.measure_coded",

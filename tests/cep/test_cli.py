@@ -553,7 +553,7 @@ def test_a_recording_in_degrees(cep, workplace):
     assert "--gyro-unit: must be rad or deg" in cep.refuses(*GYRO, *start, "--gyro-unit", "rpm", "-o", "none")
     line = cep.refuses(*GYRO, "--start", "1600000000.9", "-o", "none")
     assert line.startswith("cep: --start: the exposure 1600000000.9000..1600000001.1000 s must lie within")
-    assert "rate_unit" in cep.refuses("calibrate", "blurred.png", "--gyro-unit", "deg")
+    assert "--gyro-unit" in cep.refuses("calibrate", "blurred.png", "--gyro-unit", "deg")
 
 
 def test_calibrate_from_a_point_of_light(cep, workplace):

@@ -313,7 +313,7 @@ def text_file(_studio):
         (("--data", "notes"), text_file, "notes: is a file"),
         (("--data", "gopro"), swapped, "seem to be swapped"),
         (("--data", "small"), small, "c.png: 120 x 95 px is too small, the protocol needs 96 px"),
-        (("--methods", "guess"), None, "method: must be one of"),
+        (("--methods", "guess"), None, "--methods: must be one of"),
         (("--methods", "pmp,pmp"), None, "pmp comes twice"),
         (("--methods", "network:euler"), None, "network:euler"),
         (("--protocol", "theirs"), None, "protocol: must be paper or ours"),

@@ -59,7 +59,7 @@ def test_a_chip_that_the_controller_cannot_play_is_named_in_words(cep, command, 
 
 
 def test_a_chip_time_of_a_file_is_said_of_the_file(cep, workplace):
-    write_code("slow.json", StoredCode(ShutterCode("101", 2**63)))
+    write_code("slow.json", StoredCode(ShutterCode("101", 2**63 - 1)))
     line = cep.refuses("export", "slow.json", "--format", "csv")
     assert "slow.json" in line
     assert "--chip-ns" not in line

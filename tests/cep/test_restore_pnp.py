@@ -194,4 +194,4 @@ def test_deblur_takes_the_camera_s_noise_with_it(cep, workplace):
     bright, dark = (read_photo(f"{name}.png").pixels for name in ("bright", "dark"))
     assert np.abs(np.diff(dark)).mean() < 0.9 * np.abs(np.diff(bright)).mean()  # the noisier, the smoother
     line = cep.refuses(*told[:-1], "tv", "--photons", "100", "-o", "tv.png")
-    assert '"wiener" and "pnp"' in line
+    assert "wiener and pnp" in line

@@ -127,6 +127,6 @@ def test_the_other_process_loads_numpy_and_scipy_only_and_needs_no_path(tmp_path
 
 
 def test_no_other_module_reads_mat_files():
-    root = Path(mat_files.__file__).resolve().parent.parent
+    root = Path(mat_files.__file__).resolve().parents[2]
     files = [path for folder in ("cep", "motdiff", "hw", "benchmarks") for path in (root / folder).rglob("*.py")]
     assert [path.name for path in files if "loadmat" in path.read_text(encoding="utf-8")] == ["_mat_reader.py"]

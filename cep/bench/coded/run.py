@@ -318,7 +318,7 @@ def _restored_by(design: str) -> str:
     return "ours" if path in ("none", "length") else path
 
 
-_DENOISER = Path(__file__).parents[2] / "restore" / "denoiser" / "denoiser.safetensors"
+_DENOISER = Path(__file__).parents[2] / "restoration" / "denoiser" / "denoiser.safetensors"
 _HERE = "cep.bench.coded"
 _PATHS = f"{_HERE}.protocol"
 _EXPOSED = (_PATHS, f"{_HERE}.stages", "cep.bench.datasets", "cep.io.images", "motdiff.crops")
