@@ -1,5 +1,6 @@
 """Wrong values for the hardware commands: the option as it was typed, what would be right, and nothing overwritten."""
 
+import json
 import re
 import signal
 from pathlib import Path
@@ -7,9 +8,6 @@ from pathlib import Path
 import pytest
 from emulators.cxp_controller import CxpController
 from emulators.tools import require_simavr
-
-from cep.io.files import StoredCode, write_code
-from cep.optics.code import ShutterCode
 
 PARAMETER = re.compile(r"\b[a-z]+_[a-z_]+\b")
 TOO_LONG = str(2**63)
@@ -59,7 +57,7 @@ def test_a_chip_that_the_controller_cannot_play_is_named_in_words(cep, command, 
 
 
 def test_a_chip_time_of_a_file_is_said_of_the_file(cep, workplace):
-    write_code("slow.json", StoredCode(ShutterCode("101", 2**63 - 1)))
+    Path("slow.json").write_text(json.dumps({"schema": "cep.code/1", "bits": "101", "chip_ns": 2**63}))
     line = cep.refuses("export", "slow.json", "--format", "csv")
     assert "slow.json" in line
     assert "--chip-ns" not in line
