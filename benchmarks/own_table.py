@@ -74,7 +74,7 @@ def main() -> None:
     table = np.array(losses)
     lost, worst = (table > 1e-6).sum(axis=0), table.max(axis=0)
     print(
-        f"lost within the limits: {lost[0]} of {len(table)}, by up to {worst[0]:.3f} dB; free: {lost[1]}, {worst[1]:.3f} dB"
+        f"lost within the limits: {lost[0]} of {len(table)}, up to {worst[0]:.3f} dB; free: {lost[1]}, {worst[1]:.3f} dB"
     )
 
 
