@@ -210,7 +210,8 @@ def estimator_version(method: str) -> str:
 
         files.append(DEFAULT_WEIGHTS)
     followed = [f"motdiff.estimators.{method}", "motdiff.simulate"]
-    return source_version(followed, alone=[__name__, "cep.workflows.calibrate", "cep.io.images"], files=files)
+    decoding = ["cep.io.images", "motdiff.io.decoding"]
+    return source_version(followed, alone=[__name__, "cep.workflows.calibrate", *decoding], files=files)
 
 
 def _text_of(found: MotionEstimate) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
+from motdiff.io.inputs import one_line
 from motdiff.io.outputs import write_bytes
 from motdiff.network import MotDiffNetwork, NetworkConfig, PathNetwork, build_network
 from motdiff.training.checkpoint import read_checkpoint
@@ -173,7 +174,7 @@ def _loaded(path: Path | str, device: str | torch.device) -> MotDiffNetwork | Pa
     try:
         network = build_network(NetworkConfig.from_dict(header["config"]["network"]))
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: its header describes no network known here: {error}") from error
+        raise ValueError(f"{path}: its header describes no network known here: {one_line(error)}") from error
     try:
         network.load_state_dict(read_tensors(path, device=str(device)))
     except RuntimeError as error:
@@ -193,7 +194,7 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
     """
     header = read_header(path)
     if header.get("schema") != _SCHEMA:
-        raise ValueError(f"{path}: is no {_SCHEMA} file, its schema is {header.get('schema')!r}")
+        raise ValueError(f"{path}: is no {_SCHEMA} file, its schema is {one_line(repr(header.get('schema')))}")
     try:
         run: dict[str, Any] = {
             "steps": int(header["step"]),
@@ -201,8 +202,8 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
             "offset": float(header["offset"]),
         }
         return {"config": json.loads(header["config"]), "card": json.loads(header["card"]), "run": run}
-    except (KeyError, ValueError) as error:
-        raise ValueError(f"{path}: its header is not whole: {error}") from error
+    except (KeyError, ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: its header is not whole: {one_line(error)}") from error
 
 
 def _in_order(data: bytes, header: Mapping[str, str]) -> bytes:

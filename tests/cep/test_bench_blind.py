@@ -332,6 +332,7 @@ def test_every_method_has_a_version_of_its_own_code():
     [
         *("cep.bench.datasets", "cep.io.images", "motdiff.simulate", "motdiff.crops", "motdiff.metrics"),
         *("motdiff.evaluation.sets", "motdiff.trajectory", "cep.bench.blind.work"),
+        *("motdiff.io.decoding", "motdiff.io.mat_files"),
     ],
 )
 def test_a_version_changes_with_what_takes_and_measures_the_photo(monkeypatch, module, method):

@@ -162,6 +162,10 @@ def test_files_that_are_not_ours_are_refused(tmp_path):
     save_file({"a": torch.zeros(1)}, path, {"other": "x"})
     with pytest.raises(ValueError, match=f"is no {SCHEMA} file"):
         load_denoiser(path)
+    for card in ("{", "[" * 100_000, "9" * 5000):
+        save_file({"a": torch.zeros(1)}, path, {SCHEMA: card})
+        with pytest.raises(ValueError, match=r"d\.safetensors: its header is not whole"):
+            load_denoiser(path)
     save_file({"a": torch.zeros(1)}, path, {SCHEMA: json.dumps({})})
     with pytest.raises(ValueError, match="do not fit"):
         load_denoiser(path)

@@ -75,6 +75,7 @@ def refused(call, file, said):
     message = str(caught.value)
     assert message.startswith(f"{file}: ")
     assert "\n" not in message
+    assert len(message) < 600
 
 
 # ---- there and back
@@ -238,6 +239,8 @@ def test_what_are_no_weights_is_refused_in_one_line(tmp_path, call):
         ({"schema": "motdiff.weights/9"}, r"its schema is 'motdiff\.weights/9'"),
         ({"config": None}, "its header is not whole"),
         ({"config": "{"}, "its header is not whole"),
+        ({"config": "[" * 100_000}, "its header is not whole"),
+        ({"schema": "x" * 100_000}, "its schema is 'xxx"),
         ({"step": "many"}, "its header is not whole"),
     ],
 )

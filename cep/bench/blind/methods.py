@@ -42,7 +42,8 @@ _TAKING = (
     "cep.bench.blind.cases",
     "cep.bench.blind.work",
     "cep.bench.datasets",  # the crop
-    "cep.io.images",  # decoding and gamma
+    "cep.io.images",  # gamma
+    "motdiff.io.decoding",
     "motdiff.threads",  # the one thread
 )
 """Modules that take and measure a photo; what else they import has no part in it, or is followed."""

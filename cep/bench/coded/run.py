@@ -321,7 +321,9 @@ def _restored_by(design: str) -> str:
 _DENOISER = Path(__file__).parents[2] / "restoration" / "denoiser" / "denoiser.safetensors"
 _HERE = "cep.bench.coded"
 _PATHS = f"{_HERE}.protocol"
-_EXPOSED = (_PATHS, f"{_HERE}.stages", "cep.bench.datasets", "cep.io.images", "motdiff.crops")
+_EXPOSED = (
+    _PATHS, f"{_HERE}.stages", "cep.bench.datasets", "cep.io.images", "motdiff.io.decoding", "motdiff.crops",
+)  # fmt: skip
 """From the file to the photo."""
 _ESTIMATED: dict[str, tuple[str, Path]] = {
     "motdiff-quick": ("motdiff.estimators.motdiff", DEFAULT_WEIGHTS),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cep.optics.code import ShutterCode
+from motdiff.io.inputs import one_line
 from motdiff.weights_io import read_header
 
 __all__ = ["SCHEMA", "Card", "read_card"]
@@ -50,10 +51,11 @@ def read_card(path: Path | str) -> Card:
     """
     header = read_header(path)
     if SCHEMA not in header:
-        raise ValueError(f"{path}: is no {SCHEMA} file, its header has {', '.join(sorted(header)) or 'nothing'}")
+        found = one_line(", ".join(sorted(header)) or "nothing")
+        raise ValueError(f"{path}: is no {SCHEMA} file, its header has {found}")
     try:
         card = json.loads(header[SCHEMA])
         code, start = ShutterCode(card["bits"]), ShutterCode(card["settings"]["start"])
         return Card(code, start, int(card["steps"]), float(card["seconds"]), dict(card["notes"]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: its header is not whole: {error}") from error
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise ValueError(f"{path}: its header is not whole: {one_line(error)}") from error

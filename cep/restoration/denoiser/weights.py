@@ -14,6 +14,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from cep.restoration.denoiser.network import DenoisingNetwork
+from motdiff.io.inputs import one_line
 from motdiff.io.outputs import write_bytes
 from motdiff.weights_io import fill, halved, read_header
 
@@ -48,8 +49,12 @@ def read_card(path: Path | str = SHIPPED) -> dict[str, Any]:
     """
     header = read_header(path)
     if SCHEMA not in header:
-        raise ValueError(f"{path}: is no {SCHEMA} file, its header has {', '.join(sorted(header)) or 'nothing'}")
-    card: dict[str, Any] = json.loads(header[SCHEMA])
+        found = one_line(", ".join(sorted(header)) or "nothing")
+        raise ValueError(f"{path}: is no {SCHEMA} file, its header has {found}")
+    try:
+        card: dict[str, Any] = json.loads(header[SCHEMA])
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: its header is not whole: {one_line(error)}") from error
     return card
 
 
