@@ -347,6 +347,7 @@ READERS = {
 # -- mutations ------------------------------------------------------------------------------------------------------
 
 _HEAD = 4096
+_MOST_BYTES = 2**23  # memory in proportion to a long file is no fault
 _NUMBER = re.compile(rb"-?[0-9][0-9.]*")
 _NUMBERS = (
     b"0", b"-1", b"1e400", b"-1e400", b"1e-400", b"NaN", b"nan", b"inf", b"Infinity", b"9" * 5000, b"1" + b"0" * 400,
@@ -366,7 +367,7 @@ def mutated(reader: Reader, rng: random.Random) -> bytes:
     data = rng.choice(reader.seeds())
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
         change = rng.choice(_OF_TEXT if reader.text and rng.random() < 0.7 else _OF_BYTES)
-        data = change(data, rng)
+        data = change(data, rng)[:_MOST_BYTES]
     return reader.mend(data) if reader.mend is not None and rng.random() < 0.6 else data
 
 

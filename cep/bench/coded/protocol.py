@@ -181,9 +181,7 @@ def coded_protocol(name: str) -> CodedProtocol:
     known = {field.name for field in fields(CodedProtocol)}
     for what, names in (("unknown", set(table) - known), ("missing", known - set(table))):
         if names:
-            raise ValueError(
-                f"{name}: field {one_line(repr(min(names)))} is {what}; the fields are {', '.join(sorted(known))}"
-            )
+            raise ValueError(f"{name}: field {min(names)[:40]!r} is {what}; the fields are {', '.join(sorted(known))}")
     try:
         return CodedProtocol(**table)
     except ValueError as error:
