@@ -47,5 +47,6 @@ class Avr8jsUno:
         self._node.stdin.flush()
 
     def edges(self, signal: str = "shutter") -> tuple[tuple[int, int], ...]:
-        words = [line.split() for line in self._events.read_text().splitlines()]
+        complete, _, _unfinished = self._events.read_text().rpartition("\n")  # Node may be in the middle of a line
+        words = [line.split() for line in complete.splitlines()]
         return tuple((int(cycle), int(level)) for cycle, name, level in words if name == signal)
