@@ -19,7 +19,8 @@ from collections.abc import Callable
 import numpy as np
 from skimage import data
 
-from cep.optics.camera import Camera, capture
+from cep.optics.camera import Camera
+from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration import compare_psfs, wiener
@@ -96,7 +97,7 @@ def main() -> None:
         sharp, path = scene(SCENES[index % len(SCENES)]), boracchi_foi(rng)
         truth = visible(sharp, PSF_PX)
         open_psf = path.psf(PSF_PX)
-        found = estimate(capture(sharp, open_psf, Camera(), rng=rng), path)
+        found = estimate(capture(sharp, open_psf, camera=Camera(), rng=rng), path)
         problem = SearchProblem.along(
             found, chips=options.chips, objective=options.objective, direction="unknown", open_range=light_range
         )
@@ -113,14 +114,14 @@ def main() -> None:
         for level in LIGHT:
             # a raw file's pedestal of 6 sigma: without it, clipped read noise would brighten the darkest photos
             camera = Camera(photons_full_scale=level, black_level=min(1.0, 6 * READ_NOISE_E / level))
-            coded = capture(sharp, true_psf, camera, rng=rng)
+            coded = capture(sharp, true_psf, camera=camera, rng=rng)
             tested = compare_psfs(coded, *ways)
             scores = {}
             for name, photo, psf in (
-                ("uncoded", capture(sharp, open_psf, camera, rng=rng), found.psf(frame)),
+                ("uncoded", capture(sharp, open_psf, camera=camera, rng=rng), found.psf(frame)),
                 ("coded", coded, ways[0]),
                 ("tested", coded, tested.psf),
-                ("snapshot", capture(sharp, flash, camera, rng=rng), flash),
+                ("snapshot", capture(sharp, flash, camera=camera, rng=rng), flash),
             ):
                 scores[name] = psnr(wiener(photo, psf, camera=camera), truth, up_to_shift=shifted)
                 results[level][name].append(scores[name])

@@ -88,7 +88,7 @@ def certificates() -> None:
         began = time.process_time()
         found = certify(code, path)
         proven = time.process_time()
-        verdict = verify(code.bits, found.to_dict())
+        verdict = verify(found.to_dict(), bits=code.bits)
         checked = time.process_time()
         print(
             f"{name:36s} {found.lower:12.8f} {found.upper:12.8f} {found.relative_width:8.1e} {proven - began:7.3f} "

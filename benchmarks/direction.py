@@ -14,7 +14,8 @@ import time
 import numpy as np
 from skimage import data
 
-from cep.optics.camera import Camera, capture
+from cep.optics.camera import Camera
+from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration import compare_psfs
@@ -69,7 +70,7 @@ def main() -> None:
         if max(p.frame_size() for p in (path, guess, guess.reversed())) > PSF_PX:
             continue
         camera = Camera(photons_full_scale=1e6, read_noise_e=sigma * 1e6)
-        photo = capture(scenes[int(rng.integers(len(scenes)))], coded_psf(path, code), camera, rng=rng)
+        photo = capture(scenes[int(rng.integers(len(scenes)))], coded_psf(path, code), camera=camera, rng=rng)
         result = compare_psfs(photo, coded_psf(guess, code), coded_psf(guess.reversed(), code))
         rows.append((motion, band, result.direction == "forward", result.confidence))
     seconds = (time.process_time() - started) / len(rows)

@@ -19,7 +19,7 @@ from cep.bench.coded.protocol import coded_protocol, drawn_motions
 from cep.bench.datasets import crop, photo_folder, pick
 from cep.bench.statistics import mean_interval
 from cep.codes.published import published
-from cep.optics.camera import capture
+from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration import METHODS
@@ -80,7 +80,7 @@ def main() -> None:
                 whose.append(number)
                 for level in LEVELS:
                     camera = PROTOCOL.camera(level)
-                    photo = capture(scene, psf, camera, rng=np.random.default_rng([8, number, index, which]))
+                    photo = capture(scene, psf, camera=camera, rng=np.random.default_rng([8, number, index, which]))
                     for is_true, assumed in ((True, psf), (False, other)):
                         for name in COMPARED:
                             told = {"camera": camera} if name in TOLD_THE_NOISE else {}

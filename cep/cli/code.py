@@ -102,7 +102,7 @@ def audit(
     verdict = None
     if stored.certificate:
         path = (motion.t.tolist(), motion.xy.tolist()) if stated else None
-        verdict = verify(shutter.bits, stored.certificate, path=path)
+        verdict = verify(stored.certificate, bits=shutter.bits, path=path)
     is_null = minimum.upper < null_threshold(shutter, where)
     has = "has" if minimum.upper == 0 else "nearly has"
     warnings = [f"the code {has} a zero at {_place(minimum.at, where is None)}"] if is_null else []

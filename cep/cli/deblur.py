@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Annotated
 
@@ -27,12 +26,10 @@ from cep.cli.options import (
 
 __all__ = ["deblur"]
 
-_FULL_LIGHT = 1.001  # 1, but for rounding
-
 
 def deblur(
     image: Annotated[
-        Path, typer.Argument(metavar="IMAGE", help="Blurred photo, coded or not: PNG, TIFF, JPEG or RAW.")
+        Path, typer.Argument(metavar="IMAGE", help="Blurred photo, coded or not: PNG, TIFF, JPEG, WebP or RAW.")
     ],
     trajectory: TrajectoryFile = None,
     code: Annotated[
@@ -72,24 +69,19 @@ def deblur(
 
     Example: cep deblur coded.png --trajectory trajectory.json --code code.json -o sharp.png
     """
-    from cep.io.images import check_image_name, parse_gamma, read_photo, write_image
+    from cep.io.images import check_image_name, parse_gamma, read_photo
     from cep.io.outputs import claim
-    from cep.optics.code import ShutterCode
 
     parse_gamma(gamma)
-    shutter = ShutterCode("1") if code is None else load_code(code).code
+    shutter = None if code is None else load_code(code).code
     target = output or image.with_name(f"{image.stem}_sharp.png")
     check_image_name(target)
     claim([target], force=force, inputs=[image])
 
     from cep.io.files import read_psf
-    from cep.optics.exposure import coded_psf
     from cep.restoration import METHODS, restore
-    from cep.restoration.direction import detect_direction
-    from cep.restoration.spectral import trimmed_psf
     from cep.workflows.calibrate import check_texture
     from cep.workflows.compare import check_resolved
-    from motdiff.psf_frame import PSF_PX
 
     if method not in METHODS:
         raise ValueError(f"--method: must be one of {', '.join(METHODS)}, got {method!r}")
@@ -104,7 +96,7 @@ def deblur(
             raise ValueError(f"{first}: not valid with --method {method}; wiener and pnp use the camera")
         options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
     motion = None if trajectory is None else load_motion(trajectory, None).trajectory
-    if motion is not None:
+    if motion is not None and shutter is not None:
         check_resolved(motion, shutter.chips)
     kernel = None if psf is None else read_psf(psf)
     photo = read_photo(image, gamma=gamma)
@@ -112,37 +104,10 @@ def deblur(
         check_texture(photo.pixels)
     except ValueError as error:
         raise ValueError(f"{image}: {error}") from None
-    side = min(photo.pixels.shape[:2])
-    if motion is not None:
-        reach = motion.frame_size()
-    else:
-        assert kernel is not None
-        reach = len(trimmed_psf(kernel))
-    if reach > side:
-        raise ValueError(
-            f"{trajectory or psf}: the motion spans {reach} px around its zero, "
-            f"the photo {image} is only {side} px on its shorter side"
-        )
-    direction, test = "given by the PSF", None
-    started = time.perf_counter()
     with progress("restoring"):
-        if motion is not None:
-            kernel = coded_psf(motion, shutter, size=motion.frame_size(PSF_PX))
-            direction = motion.direction
-            if motion.direction == "unknown" and code is not None:
-                test = detect_direction(photo.pixels, motion, shutter)
-                direction, kernel = test.direction, test.psf
-        assert kernel is not None
-        restored = restore(photo.pixels, kernel, method=method, **options)
-    write_image(target, restored.image, bits=photo.bits, gamma=gamma)
-    warnings = [*photo.warnings, *restored.warnings]
-    if psf is not None and kernel.sum() > _FULL_LIGHT:
-        warnings.append(
-            f"{psf}: the PSF sums to {kernel.sum():.4g}, a light-true one to the open share of the exposure, "
-            "at most 1; the photo comes out darker by that factor"
-        )
-    if direction == "undecidable":
-        warnings.append("the photo does not tell the direction of the motion; forward was taken")
+        restored = restore(photo.pixels, kernel, trajectory=motion, code=shutter, method=method, **options)
+    restored.save(target, bits=photo.bits, gamma=gamma)
+    direction, test = restored.direction or "given by the PSF", restored.direction_test
     result = {
         "image": target,
         "method": method,
@@ -151,9 +116,9 @@ def deblur(
         "direction_likelihoods": None if test is None else test.likelihoods,
         "residual": restored.residual,
         "unreliable_px": restored.unreliable_px,
-        "seconds": time.perf_counter() - started,
+        "seconds": restored.seconds,
         "seed": seed,
-        "warnings": warnings,
+        "warnings": [*photo.warnings, *restored.warnings],
     }
     sure = "" if test is None else f" (confidence {test.confidence:.2f})"
     finish(result, as_json=as_json, show=lambda console: console.print(

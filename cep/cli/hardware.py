@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -19,15 +16,8 @@ from cep.cli.programs import (
     Port,
     load_program,
     named_port,
-    open_port,
     program_figures,
 )
-
-if TYPE_CHECKING:
-    from hw.device import DeviceProfile
-    from hw.drivers.report import UploadReport
-    from hw.drivers.write_only import BlindDevice
-    from hw.program import Program
 
 __all__ = ["export", "upload"]
 
@@ -118,9 +108,11 @@ def upload(
     """
     from cep.io.files import json_text
     from cep.io.outputs import claim, write_text
+    from cep.optics.code import ShutterCode
+    from cep.workflows.shutter import DRIVERS, open_shutter
 
-    if driver not in _UPLOADS:
-        raise ValueError(f"--driver: must be one of {', '.join(_UPLOADS)}, got {driver[:40]!r}")
+    if driver not in DRIVERS:
+        raise ValueError(f"--driver: must be one of {', '.join(DRIVERS)}, got {driver[:40]!r}")
     if arm and play:
         raise ValueError("--arm and --play: give one of them, --play arms by itself")
     if clock_ppm and driver != "cxp":
@@ -129,8 +121,11 @@ def upload(
     program, profile = load_program(code, chip_ns=chip_ns, device=device)
     file = code_file(code)
     claim([output] if output else [], force=force, inputs=[] if file is None else [file])
-    wish = _Wish(program, profile, port, arm=arm, play=play, lease_ms=lease_ms, clock_ppm=clock_ppm)
-    with _UPLOADS[driver](wish) as report:
+    with open_shutter(port, driver=driver) as shutter:
+        report = shutter.upload(
+            ShutterCode(program.bits, program.chip_ns), profile=profile, arm=arm, play=play, lease_ms=lease_ms,
+            clock_ppm=clock_ppm,
+        )  # fmt: skip
         result = {
             "port": report.port,
             "driver": driver,
@@ -156,59 +151,3 @@ def upload(
     finish(result, as_json=as_json, show=lambda console: console.print(
         f"{report.port}: {program.chips} chips of {program.chip_ns} ns loaded, {trust}{then}"
     ))  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Wish:
-    """What is to be uploaded, where, and what then."""
-
-    program: Program
-    profile: DeviceProfile | None
-    port: str
-    arm: bool
-    play: bool
-    lease_ms: int
-    clock_ppm: float
-
-
-@contextmanager
-def _to_cxp(wish: _Wish) -> Iterator[UploadReport]:
-    with open_port(wish.port) as controller:
-        report = controller.upload(
-            wish.program, profile=wish.profile, arm=wish.arm or wish.play, lease_ms=wish.lease_ms,
-            clock_ppm=wish.clock_ppm,
-        )  # fmt: skip
-        if wish.play:
-            controller.play(timeout_s=1.1e-9 * wish.program.duration_ns + 2)
-            report = replace(report, armed=False, lease_ms=None)
-        yield report
-
-
-@contextmanager
-def _to_pulse_pal(wish: _Wish) -> Iterator[UploadReport]:
-    from hw.drivers.pulsepal import PulsePal
-
-    with PulsePal.open(wish.port) as pulse_pal:
-        yield _to_blind(pulse_pal, wish)
-
-
-@contextmanager
-def _to_scpi(wish: _Wish) -> Iterator[UploadReport]:
-    from hw.drivers.scpi import ScpiAwg
-
-    with ScpiAwg.open(wish.port) as generator:
-        yield _to_blind(generator, wish)
-
-
-def _to_blind(device: BlindDevice, wish: _Wish) -> UploadReport:
-    report = device.upload(wish.program, profile=wish.profile, arm=wish.arm)
-    if wish.play:
-        device.play()
-    return report
-
-
-_UPLOADS: dict[str, Callable[[_Wish], AbstractContextManager[UploadReport]]] = {
-    "cxp": _to_cxp,
-    "pulse-pal": _to_pulse_pal,
-    "scpi": _to_scpi,
-}

@@ -28,7 +28,9 @@ __all__ = ["simulate"]
 
 
 def simulate(
-    sharp: Annotated[Path, typer.Argument(metavar="SHARP", help="Sharp photo of the scene: PNG, TIFF, JPEG or RAW.")],
+    sharp: Annotated[
+        Path, typer.Argument(metavar="SHARP", help="Sharp photo of the scene: PNG, TIFF, JPEG, WebP or RAW.")
+    ],
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
     code: Annotated[
@@ -59,7 +61,7 @@ def simulate(
     from cep.io.files import PSF_SUFFIXES, write_psf
     from cep.io.images import check_image_name, parse_gamma, read_photo, write_image
     from cep.io.outputs import claim, new_folder
-    from cep.optics.camera import capture
+    from cep.optics.capture import capture
     from cep.optics.code import ShutterCode
     from cep.optics.exposure import coded_psf
     from cep.workflows.compare import check_resolved
@@ -77,9 +79,7 @@ def simulate(
     claim([target.with_name(name) for name in names], force=force, inputs=[sharp])
     photo = read_photo(sharp, gamma=gamma, variable="x")
     with progress("exposing"):
-        # the smallest odd frame: a larger one would only cut more off the photo
-        tight = coded_psf(motion, shutter, size=motion.frame_size() | 1)
-        taken = capture(photo.pixels, tight, noise, rng=np.random.default_rng(seed))
+        taken = capture(photo.pixels, motion, shutter, noise, rng=np.random.default_rng(seed))
         psf = coded_psf(motion, shutter, size=motion.frame_size(PSF_PX))
     with new_folder(target.parent, names, force=force) as made:
         write_image(made / target.name, taken, bits=16, gamma=gamma)

@@ -22,6 +22,7 @@ __all__ = [
     "PICTURE_SUFFIXES",
     "Photo",
     "check_image_name",
+    "encode_image",
     "parse_gamma",
     "read_image",
     "read_photo",
@@ -135,11 +136,8 @@ def write_image(path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str
     Parameters
     ----------
     path : path ending in .png, .tif, .tiff, .jpg or .jpeg
-    image : (H, W) or (H, W, 3) array_like, linear light 0..1
-    bits : {8, 16, 32}
-        Bits per sample: PNG takes 8 or 16, TIFF also 32 (floating point, linear), JPEG always has 8.
-    gamma : {"srgb", "linear"} or float
-        As :func:`read_photo`, which reads the same light back.
+    image, bits, gamma
+        As of :func:`encode_image`.
 
     Raises
     ------
@@ -148,11 +146,33 @@ def write_image(path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str
     OSError
         If the folder cannot be written to.
     """
-    import cv2
-
     target = Path(path)
     check_image_name(target)
-    suffix, exponent = target.suffix.lower(), _exponent(gamma)
+    encoded = encode_image(image, target.suffix.lower(), bits=bits, gamma=gamma)
+    with new_file(target) as temporary:
+        temporary.write_bytes(encoded)
+
+
+def encode_image(image: ArrayLike, suffix: str, *, bits: int = 8, gamma: str | float = "srgb") -> bytes:
+    """Encode linear light as a PNG, TIFF or JPEG file; values outside 0..1 are clipped.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array_like, linear light 0..1
+    suffix : {".png", ".tif", ".tiff", ".jpg", ".jpeg"}
+    bits : {8, 16, 32}
+        Bits per sample: PNG takes 8 or 16, TIFF also 32 (floating point, linear), JPEG always has 8.
+    gamma : {"srgb", "linear"} or float
+        As :func:`read_photo`, which reads the same light back.
+
+    Raises
+    ------
+    ValueError
+        If the samples are not finite, or the array is no image.
+    """
+    import cv2
+
+    exponent = _exponent(gamma)
     if bits not in (8, 16, 32):
         raise ValueError(f"bits: must be 8, 16 or 32, got {bits}")
     pixels = np.asarray(image, dtype=np.float64)
@@ -174,9 +194,8 @@ def write_image(path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str
     options = [cv2.IMWRITE_JPEG_QUALITY, 95] if bits == 8 and suffix.startswith(".jp") else []
     encoded_well, encoded = cv2.imencode(suffix, samples, options)
     if not encoded_well:
-        raise ValueError(f"{target}: an image of shape {samples.shape} cannot be written as {suffix}")
-    with new_file(target) as temporary:
-        temporary.write_bytes(encoded.tobytes())
+        raise ValueError(f"an image of shape {samples.shape} cannot be written as {suffix}")
+    return encoded.tobytes()
 
 
 def parse_gamma(text: str | float) -> str | float:

@@ -1,4 +1,4 @@
-"""What a sensor adds to a photo: shot noise, read noise, clipping and code values; and the capture of a scene."""
+"""A camera's sensor: photon noise, read noise, clipping, quantisation; its files."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from cep.io.outputs import write_text
 from motdiff.io.inputs import one_line, read_json, read_toml
-from motdiff.simulate import add_noise, photograph, to_display, to_linear
+from motdiff.simulate import add_noise, to_display, to_linear
 
-__all__ = ["LIGHT_LEVELS", "SCHEMA", "Camera", "capture"]
+__all__ = ["LIGHT_LEVELS", "SCHEMA", "Camera"]
 
 FloatArray = NDArray[np.float64]
 SCHEMA = "cep.camera/1"
@@ -189,44 +189,6 @@ class Camera:
             return np.ones_like(light)
         code = to_display(light)
         return np.where(code <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((code + 0.055) / 1.055) ** 1.4)
-
-
-def capture(
-    scene: ArrayLike, psf: ArrayLike, camera: Camera, *, rng: np.random.Generator, borders: str = "real"
-) -> FloatArray:
-    """Take the photo that ``camera`` would take of ``scene`` while it moves along a path.
-
-    Parameters
-    ----------
-    scene : (H, W) or (H, W, 3) array_like, linear light
-        As an exposure with the shutter open all the time would record it at rest, 0..1.
-    psf : (S, S) array_like
-        Light-true PSF: it sums to the open fraction of the exposure, so a coded photo is darker.
-    camera : Camera
-    rng : numpy Generator
-    borders : {"real", "symmetric"}
-        As of :func:`motdiff.simulate.photograph`, which takes the photo.
-
-    Returns
-    -------
-    (H - S + 1, W - S + 1[, 3]) float ndarray, linear light 0..1, or with symmetric borders of the scene's shape
-        It shows :func:`motdiff.simulate.visible` of the scene.
-
-    Raises
-    ------
-    ValueError
-        If the scene or PSF is malformed, or the scene is smaller than the PSF.
-    """
-    light, kernel = np.asarray(scene, dtype=np.float64), np.asarray(psf, dtype=np.float64)
-    if light.ndim not in (2, 3) or not np.isfinite(light).all() or light.min(initial=0.0) < 0:
-        raise ValueError(f"scene: must be finite, non-negative (H, W) or (H, W, 3), got shape {light.shape}")
-    if kernel.ndim != 2 or not np.isfinite(kernel).all() or kernel.min(initial=0.0) < 0:
-        raise ValueError(f"psf: must be finite, non-negative (S, S), got shape {kernel.shape}")
-    if min(light.shape[:2]) < max(kernel.shape):
-        raise ValueError(
-            f"scene: {light.shape[1]} x {light.shape[0]} px is smaller than the PSF frame of {kernel.shape[0]} px"
-        )
-    return photograph(light, kernel, rng=rng, borders=borders, record=camera.quantise, **camera.noise)
 
 
 def _suffix(path: Path | str) -> str:

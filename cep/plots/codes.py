@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.optics.code import ShutterCode
-from cep.optics.exposure import coded_otf
+from cep.optics.exposure import mtf
 from cep.plots.canvas import COLOURS, LINES, new_figure
 from motdiff.trajectory import Trajectory
 
@@ -75,7 +75,7 @@ def mtf_curve(trajectory: Trajectory, code: ShutterCode | None, *, samples: int 
     """
     freq_cy_px = np.linspace(0, 0.5, samples)
     axis = main_axis(trajectory)
-    return freq_cy_px, _mtf(trajectory, code, freq_cy_px * axis[0], freq_cy_px * axis[1])
+    return freq_cy_px, mtf(trajectory, code, freq_cy_px * axis[0], freq_cy_px * axis[1])
 
 
 def mtf_figure(trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], *, grid: int = 101) -> Figure:
@@ -94,9 +94,9 @@ def mtf_figure(trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], 
     curves = figure.add_subplot(layout[0, :])
     axis = main_axis(trajectory)
     for index, (name, code) in enumerate(codes.items()):
-        freq_cy_px, mtf = mtf_curve(trajectory, code)
+        freq_cy_px, curve = mtf_curve(trajectory, code)
         style = {"color": COLOURS[index % len(COLOURS)], "linestyle": LINES[index % len(LINES)]}
-        curves.semilogy(freq_cy_px, np.maximum(mtf, 1e-6), linewidth=1.9, label=name, **style)
+        curves.semilogy(freq_cy_px, np.maximum(curve, 1e-6), linewidth=1.9, label=name, **style)
     angle_deg = float(np.degrees(np.arctan2(axis[1], axis[0]))) % 180
     curves.set(
         xlim=(0, 0.5), ylim=(1e-3, 1.2),
@@ -123,16 +123,11 @@ def mtf_figure(trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], 
     return figure
 
 
-def _mtf(trajectory: Trajectory, code: ShutterCode | None, fx: FloatArray, fy: FloatArray) -> FloatArray:
-    # the shutter open all the time is a code of one chip
-    return np.abs(coded_otf(trajectory, code or ShutterCode("1"), fx, fy))
-
-
 def _mtf_map(trajectory: Trajectory, code: ShutterCode | None, grid: int) -> FloatArray:
     """MTF (grid, grid) over the band; |H(-f)| = |H(f)|, so half of it is computed."""
     line = np.linspace(-0.5, 0.5, grid)
     fx, fy = np.meshgrid(line, line[: (grid + 1) // 2])
-    half = _mtf(trajectory, code, fx, fy)
+    half = mtf(trajectory, code, fx, fy)
     return np.concatenate([half, half[: grid // 2][::-1, ::-1]])
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cep.compiled import compiled
 from cep.optics.band import band, band_samples
 from cep.optics.code import ShutterCode
-from cep.optics.exposure import chip_basis, coded_otf
+from cep.optics.exposure import chip_basis, mtf
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.proofs.certify.zeros import Zeros, zeros_along, zeros_of_code
 from motdiff.trajectory import Trajectory
@@ -109,7 +109,7 @@ def grid_claims(code: ShutterCode, trajectory: Trajectory | None, truth: float) 
     for points in (32, 64, 128, 256):
         fx, fy = band(points)
         half = fy <= 0  # |H| is even
-        lowest = min(float(np.abs(coded_otf(path, code, fx[half], fy[half])).min()) for path in paths)
+        lowest = min(float(mtf(path, code, fx[half], fy[half]).min()) for path in paths)
         claims.append(GridClaim(f"{points} x {points} FFT", points, lowest, _verdict(lowest, truth, code.duty)))
     return tuple(claims)
 

@@ -1,22 +1,29 @@
-"""One door to every restoration method, with what a user should know about the result."""
+"""Restoration of a photo by one of the methods, along a trajectory or with a PSF, and the checks of its result."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
+from cep.io.images import encode_image, write_image
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.restoration.direction import DirectionResult, detect_direction
 from cep.restoration.inverse import inverse_filter
 from cep.restoration.l0 import l0, tv_less_ringing
 from cep.restoration.pnp import pnp
 from cep.restoration.spectral import channels_first, trimmed_psf
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
+from motdiff.psf_frame import PSF_PX
+from motdiff.trajectory import Trajectory
 
 __all__ = ["METHODS", "Restoration", "misfit", "restore", "saturated"]
 
@@ -30,6 +37,7 @@ METHODS: Mapping[str, Callable[..., FloatArray]] = {
     "pnp": pnp,
 }
 _CLIPPED = 0.995
+_FULL_LIGHT = 1.001  # 1, but for rounding
 _WORTH_TELLING = 1e-3
 
 
@@ -42,6 +50,12 @@ class Restoration:
     image : float ndarray like the photo
         At the scale of the full open exposure, not clipped.
     method : str
+    psf : (S, S) float ndarray
+        Light-true PSF that it was restored with.
+    direction : {"known", "unknown", "forward", "reverse", "undecidable"} or None
+        Of the motion: as the trajectory says, or as the test of both directions found; None where a PSF was given.
+    direction_test : DirectionResult or None
+        The test, where there was one.
     residual : float
         RMS of the reblurred result against the photo, away from the borders; full-scale units.
     unreliable_px : int
@@ -54,37 +68,103 @@ class Restoration:
 
     image: FloatArray
     method: str
+    psf: FloatArray
+    direction: str | None
+    direction_test: DirectionResult | None
     residual: float
     unreliable_px: int
     saturated_fraction: float
     warnings: tuple[str, ...]
     seconds: float
 
+    def save(self, path: Path | str, *, bits: int = 8, gamma: str | float = "srgb") -> None:
+        """Write the restored photo; parameters and errors are those of :func:`cep.io.images.write_image`."""
+        write_image(path, self.image, bits=bits, gamma=gamma)
 
-def restore(photo: ArrayLike, psf: ArrayLike, *, method: str = "wiener", **options: Any) -> Restoration:
-    """Restore a photo with one of :data:`METHODS`.
+    def _repr_png_(self) -> bytes:
+        return encode_image(self.image, ".png")
+
+    def __repr__(self) -> str:
+        size = f"{self.image.shape[1]} x {self.image.shape[0]} px"
+        way = "" if self.direction is None else f", direction {self.direction}"
+        return f"<Restoration {size} by {self.method}{way}, residual {self.residual:.3g}>"
+
+
+def restore(
+    photo: ArrayLike,
+    psf: ArrayLike | None = None,
+    *,
+    trajectory: Trajectory | None = None,
+    code: ShutterCode | None = None,
+    method: str = "wiener",
+    **options: Any,
+) -> Restoration:
+    """Restore a photo with a PSF, or along the trajectory that it was exposed on.
+
+    Along a trajectory of unknown direction a coded photo is tested for both, see
+    :func:`cep.restoration.direction.detect_direction`.
 
     Parameters
     ----------
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1
-    psf : (S, S) array_like
+    psf : (S, S) array_like, optional
         Light-true PSF, zero displacement at index ``size // 2``.
+    trajectory : Trajectory, optional
+        Instead of a PSF.
+    code : ShutterCode, optional
+        Of an exposure along a trajectory; the open shutter when omitted.
     method : str
         "wiener", "inverse", "tv", "l0", "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser).
     **options
-        Passed on to the method.
+        Passed on to the method, as ``camera`` to "wiener" and "pnp".
 
     Raises
     ------
     ValueError
-        If the method is not known, or the method refuses its arguments.
+        If the method is not known or refuses its arguments, not exactly one of PSF and trajectory is given, a code is
+        given with a PSF, or the motion does not fit into the photo.
+
+    Examples
+    --------
+    >>> from motdiff.simulate import blur_valid
+    >>> scene = np.kron(np.random.default_rng(0).random((8, 8)), np.ones((10, 10)))
+    >>> path = Trajectory.straight(9.0)
+    >>> photo = np.clip(blur_valid(scene, path.psf(11)), 0, 1)
+    >>> sharp = restore(photo, trajectory=path)
+    >>> sharp.image.shape, sharp.residual < 0.001
+    ((70, 70), True)
     """
     if method not in METHODS:
         raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {method!r}")
+    if (psf is None) == (trajectory is None):
+        raise ValueError("trajectory and psf: exactly one of them is needed")
+    if psf is not None and code is not None:
+        raise ValueError("code: goes with a trajectory; a PSF holds its code already")
     started = time.perf_counter()
-    channels, kernel = channels_first(photo), trimmed_psf(psf)
-    reach = kernel.shape[0] // 2
+    channels = channels_first(photo)
+    direction: str | None = None
+    test: DirectionResult | None = None
     notes: list[str] = []
+    if trajectory is not None:
+        _check_reach("trajectory", trajectory.frame_size(), channels)
+        direction = trajectory.direction
+        if direction == "unknown" and code is not None:
+            test = detect_direction(photo, trajectory, code)
+            direction, psf = test.direction, test.psf
+        else:
+            psf = coded_psf(trajectory, code or ShutterCode("1"), size=trajectory.frame_size(PSF_PX))
+        if direction == "undecidable":
+            notes.append("the photo does not tell the direction of the motion; forward was taken")
+    assert psf is not None
+    kernel = trimmed_psf(psf)
+    if trajectory is None:
+        _check_reach("psf", len(kernel), channels)
+        if kernel.sum() > _FULL_LIGHT:
+            notes.append(
+                f"the PSF sums to {kernel.sum():.4g}, a light-true one to the open share of the exposure, at most 1; "
+                "the photo comes out darker by that factor"
+            )
+    reach = kernel.shape[0] // 2
     clipped = float(saturated(photo).mean())
     if clipped > _WORTH_TELLING:
         notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: expect ringing around them")
@@ -92,8 +172,17 @@ def restore(photo: ArrayLike, psf: ArrayLike, *, method: str = "wiener", **optio
         notes.append(f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x {channels.shape[1]} px")
     image = METHODS[method](photo, psf, **options)
     return Restoration(
-        image, method, misfit(photo, image, psf), reach, clipped, tuple(notes), time.perf_counter() - started
-    )
+        image, method, np.asarray(psf, dtype=np.float64), direction, test, misfit(photo, image, psf), reach, clipped,
+        tuple(notes), time.perf_counter() - started,
+    )  # fmt: skip
+
+
+def _check_reach(name: str, reach_px: int, channels: FloatArray) -> None:
+    side = min(channels.shape[1:])
+    if reach_px > side:
+        raise ValueError(
+            f"{name}: the motion spans {reach_px} px around its zero, the photo is only {side} px on its shorter side"
+        )
 
 
 def misfit(photo: ArrayLike, restored: ArrayLike, psf: ArrayLike) -> float:

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.camera import LIGHT_LEVELS, Camera, capture
+from cep.optics.camera import LIGHT_LEVELS, Camera
+from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.proofs.measure import CodeMetrics
@@ -146,7 +147,7 @@ def run_chain(
     frame = max(truth.frame_size(), motion.frame_size(), motion.reversed().frame_size()) | 1
     rng = np.random.default_rng([seed, 3])
     codes = {"open shutter": open_shutter, "coded": code}
-    photos = {name: capture(sharp, coded_psf(truth, one, frame), camera, rng=rng) for name, one in codes.items()}
+    photos = {name: capture(sharp, coded_psf(truth, one, frame), camera=camera, rng=rng) for name, one in codes.items()}
 
     clock.begin(0.7, "restoring")
     direction = detect_direction(photos["coded"], motion, code, size=frame)
@@ -252,7 +253,7 @@ def bundled_scene(camera: Camera, *, rng: np.random.Generator) -> Scene:
     sharp = to_linear(data.astronaut() / 255)
     # a hand accelerates over a short exposure: a bent path that is slower at one end
     motion = quadratic(rng, min_length_px=_LENGTH_PX[0], max_length_px=_LENGTH_PX[1], max_bend=_BEND)
-    photo = capture(sharp, motion.psf(motion.frame_size() | 1), camera, rng=rng)
+    photo = capture(sharp, motion.psf(motion.frame_size() | 1), camera=camera, rng=rng)
     name = "Astronaut Eileen Collins (NASA, public domain; skimage.data.astronaut), blurred by a simulated hand shake"
     return Scene(name, photo, sharp, motion)
 

@@ -213,8 +213,8 @@ def test_motions_wider_than_the_photo_or_any_frame(refused, workplace):
     np.save("wide.npy", np.full((301, 301), 1e-5))
     for option, name in (("--trajectory", "wide.json"), ("--psf", "wide.npy")):
         line = refused("deblur", "blurred.png", option, name)
-        assert name in line
-        assert "blurred.png is only" in line
+        assert f"{option}: " in line
+        assert "the photo is only" in line
     for arguments in (["mtf"], ["audit", "1011"], ["optimize", "--chips", "20"]):
         assert "at most 2048" in refused(*arguments, "--trajectory", "wide.json", "-o", "new.png")
 
@@ -252,7 +252,7 @@ def test_a_large_empty_frame_around_a_psf_is_fine(cep, workplace):
 def test_a_psf_of_more_light_than_there_is(cep, workplace):
     np.save("psf.npy", np.full((3, 3), 0.2))
     warnings = cep.succeeds("deblur", "blurred.png", "--psf", "psf.npy")["warnings"]
-    assert any("psf.npy: the PSF sums to 1.8" in warning for warning in warnings)
+    assert any("the PSF sums to 1.8" in warning for warning in warnings)
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[1, 2]", b"\xff\xfe\x00", b"null"])

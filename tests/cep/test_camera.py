@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cep.optics.camera import SCHEMA, Camera, capture
+from cep.optics.camera import SCHEMA, Camera
+from cep.optics.capture import capture
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 
@@ -65,7 +66,7 @@ def test_capture_is_darker_by_the_duty_and_shows_the_visible_part():
     scene = np.random.default_rng(0).uniform(0.2, 0.9, (80, 90))
     psf = np.zeros((32, 32))
     psf[16 + 3, 16 - 5] = 0.4  # a still camera, 3 px down and 5 px left, open for 40 % of the time
-    photo = capture(scene, psf, SILENT, rng=np.random.default_rng(0))
+    photo = capture(scene, psf, camera=SILENT, rng=np.random.default_rng(0))
     assert photo.shape == (80 - 31, 90 - 31)
     shifted = np.roll(scene, (3, -5), axis=(0, 1))
     np.testing.assert_allclose(photo, 0.4 * visible(shifted, 32), atol=2e-4)
@@ -73,19 +74,19 @@ def test_capture_is_darker_by_the_duty_and_shows_the_visible_part():
 
 def test_capture_of_a_flat_colour_scene_has_no_border_effect():
     scene = np.ones((70, 72, 3)) * np.array([0.1, 0.5, 0.8])
-    photo = capture(scene, 0.5 * Trajectory.straight(12.0).psf(33), SILENT, rng=np.random.default_rng(0))
+    photo = capture(scene, 0.5 * Trajectory.straight(12.0).psf(33), camera=SILENT, rng=np.random.default_rng(0))
     assert photo.shape == (38, 40, 3)
     np.testing.assert_allclose(photo, np.broadcast_to([0.05, 0.25, 0.4], photo.shape), atol=3e-4)
 
 
 def test_bright_scene_clips_at_full_scale():
-    photo = capture(np.full((9, 9), 3.0), np.ones((1, 1)), Camera(), rng=np.random.default_rng(0))
+    photo = capture(np.full((9, 9), 3.0), np.ones((1, 1)), camera=Camera(), rng=np.random.default_rng(0))
     assert (photo == 1.0).all()
 
 
 def test_same_seed_same_photo():
     scene = np.random.default_rng(0).random((40, 40))
-    first, second = (capture(scene, np.ones((1, 1)), Camera(), rng=np.random.default_rng(7)) for _ in range(2))
+    first, second = (capture(scene, np.ones((1, 1)), camera=Camera(), rng=np.random.default_rng(7)) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
@@ -172,4 +173,4 @@ def test_bad_camera(fields):
 )
 def test_bad_capture(scene, psf, said):
     with pytest.raises(ValueError, match=said):
-        capture(scene, psf, Camera(), rng=np.random.default_rng(0))
+        capture(scene, psf, camera=Camera(), rng=np.random.default_rng(0))

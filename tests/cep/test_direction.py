@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from skimage import data
 
-from cep.optics.camera import Camera, capture
+from cep.optics.camera import Camera
+from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration import compare_psfs, direction
@@ -25,7 +26,7 @@ def curved():
 
 def photo_along(path, code, *, scene="camera", sigma=0.005, seed=0):
     camera = Camera(photons_full_scale=1e6, read_noise_e=sigma * 1e6)
-    return capture(linear(scene), coded_psf(path, code), camera, rng=np.random.default_rng(seed))
+    return capture(linear(scene), coded_psf(path, code), camera=camera, rng=np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("scene", ["camera", "coffee"])
@@ -80,7 +81,7 @@ def test_featureless_photo_is_undecidable():
 def test_colour_and_large_photos():
     scene = np.stack([linear("camera")] * 3, axis=-1) * np.array([1.0, 0.8, 0.6])
     scene = np.tile(scene, (3, 3, 1))
-    photo = capture(scene, _pair()[0], Camera(1e5), rng=np.random.default_rng(0))
+    photo = capture(scene, _pair()[0], camera=Camera(1e5), rng=np.random.default_rng(0))
     assert photo.shape[0] > 512
     assert compare_psfs(photo, *_pair()).direction == "forward"
 

@@ -327,7 +327,7 @@ def test_zeros_of_a_slanting_motion_lie_in_the_band(length_px, angle_rad):
     for zero in zeros:
         assert np.abs(zero.at).max() <= 0.5 + 1e-12
         assert abs(coded_otf(path, code, *zero.at)) < 1e-9
-    assert verify(code.bits, certify(code, path).to_dict()).holds
+    assert verify(certify(code, path).to_dict(), bits=code.bits).holds
 
 
 def test_a_motion_with_zeros_beyond_the_band_alone_still_takes_the_grid():

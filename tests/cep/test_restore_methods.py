@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from skimage import data
 
-from cep.optics.camera import Camera, capture
+from cep.optics.camera import Camera
+from cep.optics.capture import capture
 from cep.restoration import inverse_filter, l0, misfit, restore, saturated, tv, tv_less_ringing, wiener
 from cep.restoration.spectral import otf_on_grid, trimmed_psf
 from cep.restoration.tv import divergence, shrink_gradients
@@ -83,7 +84,7 @@ def test_scale_is_that_of_the_full_exposure_and_colour_is_per_channel(scene, met
     duty = psf.sum()
     assert 0.4 < duty < 0.7
     colour = np.stack([scene, 0.5 * scene, 0.25 * scene], axis=-1)[:120, :130]
-    photo = capture(colour, psf, Camera(photons_full_scale=1e6), rng=np.random.default_rng(0))
+    photo = capture(colour, psf, camera=Camera(photons_full_scale=1e6), rng=np.random.default_rng(0))
     restored = method(photo, psf)
     assert restored.shape == photo.shape
     np.testing.assert_allclose(restored.mean(axis=(0, 1)), visible(colour, 32).mean(axis=(0, 1)), rtol=0.02)
@@ -98,7 +99,7 @@ def test_flat_photo_stays_flat():
 @pytest.mark.parametrize(("method", "gain_db"), [(wiener, 4.0), (tv, 5.0), (tv_less_ringing, 5.0), (l0, 3.0)])
 def test_known_psf_improves_a_noisy_photo(scene, method, gain_db):
     psf = coded_psf()
-    photo = capture(scene, psf, Camera(photons_full_scale=20_000), rng=np.random.default_rng(0))
+    photo = capture(scene, psf, camera=Camera(photons_full_scale=20_000), rng=np.random.default_rng(0))
     truth = visible(scene, 32)
     assert psnr(method(photo, psf), truth) > psnr(photo / psf.sum(), truth) + gain_db
 
@@ -106,7 +107,7 @@ def test_known_psf_improves_a_noisy_photo(scene, method, gain_db):
 @pytest.mark.parametrize("method", ALL)
 def test_real_borders_beat_the_periodic_assumption(scene, method):
     psf = coded_psf(15.0)
-    photo = capture(scene, psf, Camera(photons_full_scale=20_000), rng=np.random.default_rng(0))
+    photo = capture(scene, psf, camera=Camera(photons_full_scale=20_000), rng=np.random.default_rng(0))
     truth = visible(scene, 32)
     assert psnr(method(photo, psf), truth) > psnr(method(photo, psf, border="periodic"), truth) + 3
 
@@ -139,7 +140,7 @@ def test_otf_of_a_frame_larger_than_the_photo_wraps():
 
 def test_l0_result_is_flatter_than_tv(scene):
     psf = coded_psf()
-    photo = capture(scene, psf, Camera(), rng=np.random.default_rng(0))
+    photo = capture(scene, psf, camera=Camera(), rng=np.random.default_rng(0))
     steps = [np.mean(np.abs(np.diff(m(photo, psf), axis=1)) > 0.01) for m in (l0, tv)]
     assert steps[0] < steps[1]
 
@@ -148,12 +149,14 @@ def test_restore_reports_misfit_border_and_clipping(scene):
     psf = coded_psf()
     bright = np.clip(scene * 3, 0, 3)
     camera = Camera(photons_full_scale=1e5, read_noise_e=0.0)
-    result = restore(capture(bright, psf, camera, rng=np.random.default_rng(0)), psf, method="wiener", camera=camera)
+    result = restore(
+        capture(bright, psf, camera=camera, rng=np.random.default_rng(0)), psf, method="wiener", camera=camera
+    )
     assert result.method == "wiener"
     assert result.unreliable_px == trimmed_psf(psf).shape[0] // 2
     assert result.saturated_fraction > 0.01
     assert "clipped" in result.warnings[0]
-    dim = capture(scene * 0.5, psf, camera, rng=np.random.default_rng(0))
+    dim = capture(scene * 0.5, psf, camera=camera, rng=np.random.default_rng(0))
     clean = restore(dim, psf, method="tv")
     assert clean.warnings == ()
     assert clean.residual == misfit(dim, clean.image, psf)

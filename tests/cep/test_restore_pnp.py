@@ -5,7 +5,8 @@ import pytest
 from skimage import data
 
 from cep.io.images import read_photo
-from cep.optics.camera import Camera, capture
+from cep.optics.camera import Camera
+from cep.optics.capture import capture
 from cep.restoration import METHODS, pnp, restore, wiener
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
@@ -111,7 +112,7 @@ def test_levels_fall_log_evenly_to_the_noise_at_full_exposure(scene):
 
 def test_the_camera_s_noise_is_its_mean_over_the_photo(scene):
     camera, psf = Camera(photons_full_scale=2000), coded_psf()
-    photo = capture(scene, psf, camera, rng=np.random.default_rng(0))
+    photo = capture(scene, psf, camera=camera, rng=np.random.default_rng(0))
     by_camera = pnp(photo, psf, camera=camera)
     np.testing.assert_allclose(
         by_camera, pnp(photo, psf, noise_variance=float(camera.noise_variance(photo).mean())), atol=1e-9
@@ -128,7 +129,7 @@ def test_it_is_the_method_pnp():
 def test_scale_is_that_of_the_full_exposure_and_colour_is_per_channel(scene):
     psf = coded_psf()
     colour = np.stack([scene, 0.5 * scene, 0.25 * scene], axis=-1)[:120, :131]
-    photo = capture(colour, psf, Camera(photons_full_scale=1e6), rng=np.random.default_rng(0))
+    photo = capture(colour, psf, camera=Camera(photons_full_scale=1e6), rng=np.random.default_rng(0))
     truth = visible(colour, 32)
     result = restore(photo, psf, method="pnp")
     assert result.image.shape == photo.shape
@@ -143,7 +144,7 @@ def test_it_beats_the_wiener_filter_that_is_told_the_same(scene, photons, bits):
     slices = Trajectory.straight(15.0, angle_rad=0.5).slice_psfs(np.linspace(0, 1, len(bits) + 1), 32)
     psf = np.tensordot([float(b) for b in bits], slices, axes=1)
     camera = Camera(photons_full_scale=photons)
-    photo = capture(scene, psf, camera, rng=np.random.default_rng(0))
+    photo = capture(scene, psf, camera=camera, rng=np.random.default_rng(0))
     truth = visible(scene, 32)
     gain_db = psnr(pnp(photo, psf, camera=camera), truth) - psnr(wiener(photo, psf, camera=camera), truth)
     assert gain_db > 0.3
@@ -151,7 +152,7 @@ def test_it_beats_the_wiener_filter_that_is_told_the_same(scene, photons, bits):
 
 def test_real_borders_beat_the_periodic_assumption(scene):
     psf = coded_psf(15.0)
-    photo = capture(scene, psf, Camera(photons_full_scale=20_000), rng=np.random.default_rng(0))
+    photo = capture(scene, psf, camera=Camera(photons_full_scale=20_000), rng=np.random.default_rng(0))
     truth = visible(scene, 32)
     assert psnr(pnp(photo, psf), truth) > psnr(pnp(photo, psf, border="periodic"), truth) + 3
 

@@ -33,7 +33,7 @@ def stored(certificate):
 
 def confirmed(code, trajectory=None):
     certificate = certify(code, trajectory)
-    verdict = verify(code.bits, stored(certificate))
+    verdict = verify(stored(certificate), bits=code.bits)
     assert verdict.holds, verdict.reasons
     assert verdict.reasons
     return certificate
@@ -84,7 +84,7 @@ def test_zeros_are_confirmed(code, path, kind):
     assert certificate.zero.kind == kind
     again = Certificate.from_dict(stored(certificate))
     assert again.zero == certificate.zero
-    assert verify(code.bits, again.to_dict()).holds
+    assert verify(again.to_dict(), bits=code.bits).holds
 
 
 @pytest.mark.parametrize("direction", ["known", "unknown"])
@@ -118,7 +118,7 @@ def test_a_code_file_is_enough(tmp_path):
     for path in (None, shake(2, 4.0), shake(1)):
         write_code(tmp_path / "code.json", StoredCode(code, certificate=certify(code, path).to_dict()))
         found = read_code(tmp_path / "code.json")
-        assert verify(found.code.bits, found.certificate).holds
+        assert verify(found.certificate, bits=found.code.bits).holds
 
 
 # -- forgeries ------------------------------------------------------------------------------------------------------
@@ -133,16 +133,16 @@ CURVED_NULL = stored(certify(RASKAR, shake(1)))
 
 @pytest.mark.parametrize(("bits", "honest"), [(RASKAR.bits, CHIPS), (CURVED_CODE.bits, CURVED)])
 def test_bounds_that_were_moved_are_refused(bits, honest):
-    assert verify(bits, honest).holds
-    raised = verify(bits, honest | {"lower": 1.01 * honest["lower"], "upper": 1.02 * honest["upper"]})
+    assert verify(honest, bits=bits).holds
+    raised = verify(honest | {"lower": 1.01 * honest["lower"], "upper": 1.02 * honest["upper"]}, bits=bits)
     assert not raised.holds
     assert "below the lower bound" in raised.reasons[-1]
-    lowered = verify(bits, honest | {"lower": 0.98 * honest["lower"], "upper": 0.99 * honest["upper"]})
+    lowered = verify(honest | {"lower": 0.98 * honest["lower"], "upper": 0.99 * honest["upper"]}, bits=bits)
     assert not lowered.holds
     assert "above the upper bound" in lowered.reasons[-1]
-    assert not verify(bits, honest | {"upper": 0.5 * honest["lower"]}).holds
+    assert not verify(honest | {"upper": 0.5 * honest["lower"]}, bits=bits).holds
     # a wider interval is a weaker claim, and true
-    assert verify(bits, honest | {"lower": 0.9 * honest["lower"], "upper": 1.1 * honest["upper"]}).holds
+    assert verify(honest | {"lower": 0.9 * honest["lower"], "upper": 1.1 * honest["upper"]}, bits=bits).holds
 
 
 @pytest.mark.parametrize(("bits", "honest"), [(RASKAR.bits, CHIPS), (CURVED_CODE.bits, CURVED)])
@@ -163,7 +163,7 @@ def test_bounds_that_were_moved_are_refused(bits, honest):
 def test_false_zeros_are_refused(bits, honest, zero):
     places = ([0.5], [1 / 6], honest["at"]) if honest["unit"] == "chips" else ([0.1, 0.2], honest["at"])
     for at in places:
-        verdict = verify(bits, honest | {"lower": 0.0, "upper": 0.0, "zero": zero, "at": at})
+        verdict = verify(honest | {"lower": 0.0, "upper": 0.0, "zero": zero, "at": at}, bits=bits)
         assert not verdict.holds
 
 
@@ -183,17 +183,17 @@ def test_false_zeros_are_refused(bits, honest, zero):
     ],
 )
 def test_zeros_that_were_moved_are_refused(bits, honest, change):
-    assert not verify(bits, honest | change).holds
+    assert not verify(honest | change, bits=bits).holds
 
 
 def test_another_code_or_path_is_refused():
-    assert not verify(RASKAR.bits[::-1], CHIPS).holds
+    assert not verify(CHIPS, bits=RASKAR.bits[::-1]).holds
     other = shake(4, 4.0)
-    assert not verify(CURVED_CODE.bits, CURVED, path=(other.t, other.xy)).holds
+    assert not verify(CURVED, bits=CURVED_CODE.bits, path=(other.t, other.xy)).holds
     bare = {name: value for name, value in CURVED.items() if name != "trajectory"}
-    assert "trajectory" in verify(CURVED_CODE.bits, bare).reasons[-1]
+    assert "trajectory" in verify(bare, bits=CURVED_CODE.bits).reasons[-1]
     same = shake(2, 4.0)
-    assert verify(CURVED_CODE.bits, bare, path=(same.t, same.xy)).holds
+    assert verify(bare, bits=CURVED_CODE.bits, path=(same.t, same.xy)).holds
 
 
 @pytest.mark.parametrize(
@@ -211,10 +211,10 @@ def test_another_code_or_path_is_refused():
     ],
 )
 def test_nonsense_is_refused(change):
-    assert not verify(RASKAR.bits, CHIPS | change).holds
+    assert not verify(CHIPS | change, bits=RASKAR.bits).holds
     for missing in ("unit", "lower", "upper", "at"):
-        assert not verify(RASKAR.bits, {name: value for name, value in CHIPS.items() if name != missing}).holds
-    assert not verify("", CHIPS).holds
+        assert not verify({name: value for name, value in CHIPS.items() if name != missing}, bits=RASKAR.bits).holds
+    assert not verify(CHIPS, bits="").holds
 
 
 def test_other_dwell_times_are_another_path():
@@ -222,8 +222,8 @@ def test_other_dwell_times_are_another_path():
     xy = np.array([[-4.0, 0.0], [0.0, 0.0], [4.0, 0.0]])
     even = Trajectory(t, xy, "known")
     certificate = stored(certify(CURVED_CODE, even))
-    assert verify(CURVED_CODE.bits, certificate, path=(t, xy)).holds
-    assert not verify(CURVED_CODE.bits, certificate, path=([0.0, 0.4, 1.0], xy)).holds
+    assert verify(certificate, bits=CURVED_CODE.bits, path=(t, xy)).holds
+    assert not verify(certificate, bits=CURVED_CODE.bits, path=([0.0, 0.4, 1.0], xy)).holds
 
 
 def test_each_direction_is_looked_at_in_full():
@@ -238,8 +238,8 @@ def test_each_direction_is_looked_at_in_full():
     assert (honest["direction"], honest["upper"]) == ("backward", 0.0)
     one_way = stored(certify(code, replace(path, direction="known")))
     assert one_way["lower"] > 0.01
-    assert verify(code.bits, one_way).holds
-    assert not verify(code.bits, one_way | {"directions": list(BOTH)}).holds
+    assert verify(one_way, bits=code.bits).holds
+    assert not verify(one_way | {"directions": list(BOTH)}, bits=code.bits).holds
 
 
 @pytest.mark.parametrize("angle", [0.3, 0.64, 2.2, -0.9])
@@ -256,11 +256,11 @@ def test_an_oblique_path_of_changing_speed_is_confirmed(angle):
     "zero", [5, "root", {"kind": "root of unity", "order": 10**12 + 39}, {"kind": "root of unity", "order": 1e400}]
 )
 def test_a_proof_that_makes_no_sense_is_refused_at_once(zero):
-    assert not verify(PUBLISHED["merl-31-t62"].bits, NULL | {"zero": zero}).holds
+    assert not verify(NULL | {"zero": zero}, bits=PUBLISHED["merl-31-t62"].bits).holds
 
 
 def test_giving_up_is_no_confirmation():
-    verdict = verify(CURVED_CODE.bits, CURVED, budget=10)
+    verdict = verify(CURVED, bits=CURVED_CODE.bits, budget=10)
     assert not verdict.holds
     assert "could not be confirmed" in verdict.reasons[-1]
 

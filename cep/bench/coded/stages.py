@@ -16,7 +16,8 @@ from scipy import ndimage
 from cep.bench.coded.designs import Known, designed
 from cep.bench.coded.protocol import paths_from, paths_to
 from cep.bench.datasets import Cut, sharp_scene
-from cep.optics.camera import Camera, capture
+from cep.optics.camera import Camera
+from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.proofs.measure import CodeMetrics, measure
@@ -117,7 +118,7 @@ def photographed(
     shown = np.asarray(scene, dtype=np.float64)
     rng = np.random.default_rng([seed, 3])
     sensor = Camera.from_dict(camera)
-    photo = capture(shown, scale * psf, sensor, rng=rng, borders=borders)
+    photo = capture(shown, scale * psf, camera=sensor, rng=rng, borders=borders)
     found = psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
     # Where a scene lies no photo can tell: run backwards, a short exposure at the end of a straight path is one at its
     # start, the same PSF elsewhere. Restored with it, the scene is as good and merely displaced.
@@ -182,7 +183,7 @@ def estimate_motion(
 
     truth = paths_from(motion)[0][0]
     rng = np.random.default_rng([seed, 1])
-    photo = capture(scene, truth.psf(PSF_PX), Camera.from_dict(camera), rng=rng, borders=borders)
+    photo = capture(scene, truth.psf(PSF_PX), camera=Camera.from_dict(camera), rng=rng, borders=borders)
     estimator = named_estimators([method])[method]
     started = time.process_time()
     estimate = estimator.estimate(np.clip(photo, 0, 1))

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import pi
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +43,22 @@ class Verdict:
     holds: bool
     reasons: tuple[str, ...]
 
+    def __bool__(self) -> bool:
+        return self.holds
+
+
+class Claim(Protocol):
+    """A certificate as an object, which can be written as a mapping."""
+
+    def to_dict(self) -> Mapping[str, Any]:
+        """Its fields."""
+        ...
+
 
 def verify(
-    bits: str,
-    certificate: Mapping[str, Any],
+    certificate: Mapping[str, Any] | Claim,
     *,
+    bits: str | None = None,
     path: tuple[Sequence[float], Sequence[Sequence[float]]] | None = None,
     budget: int = 400_000,
 ) -> Verdict:
@@ -55,11 +66,11 @@ def verify(
 
     Parameters
     ----------
-    bits : str
-        The code, as 0 and 1.
-    certificate : mapping
+    certificate : mapping, or an object whose ``to_dict()`` is one
         As in ``code.json``: ``unit``, ``lower``, ``upper``, ``at``; ``zero`` where 0 is claimed; ``trajectory`` with
-        ``t``, ``x``, ``y``; ``directions``.
+        ``t``, ``x``, ``y``; ``directions``; ``bits``.
+    bits : str, optional
+        The code that the certificate must be about, as 0 and 1; the one that it names when omitted.
     path : (t, xy), optional
         Times (T,) from 0 to 1 and vertices (T, 2), px, where the certificate does not hold them itself.
     budget : int
@@ -67,7 +78,8 @@ def verify(
     """
     reasons: list[str] = []
     try:
-        _check(bits, certificate, path, budget, reasons)
+        claim = certificate if isinstance(certificate, Mapping) else certificate.to_dict()
+        _check(claim.get("bits", "") if bits is None else bits, claim, path, budget, reasons)
     except RefusedError as refusal:
         return Verdict(False, (*reasons, str(refusal)))
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
