@@ -52,6 +52,13 @@ class DeviceProfile:
         Time the shutter takes from closed to fully open, and back, each a straight ramp that begins at its edge.
     closed_level : int
         Output level, 0 or 1, at which the shutter is closed.
+
+    Examples
+    --------
+    >>> from hw.program import Program
+    >>> slow = DeviceProfile(name="slow", min_on_ns=2_000_000)
+    >>> slow.check(Program.from_bits("1011", chip_ns=1_000_000))
+    ('slow: shortest opening is 1 ms; at least 2 ms',)
     """
 
     name: str

@@ -78,6 +78,14 @@ class Trajectory:
     See Also
     --------
     Trajectory.from_samples : centres the path and rescales the times.
+
+    Examples
+    --------
+    >>> path = Trajectory.from_samples([[0, 0], [3, 4], [3, 8]])
+    >>> path.length_px, path.direction
+    (9.0, 'unknown')
+    >>> round(float(path.psf().sum()), 6)
+    1.0
     """
 
     t: FloatArray

@@ -20,9 +20,7 @@ from cep.cli.options import (
     Seed,
     TrajectoryFile,
     code_figures,
-    code_label,
     load_camera,
-    load_code,
     load_motion,
     output_option,
 )
@@ -73,6 +71,7 @@ def audit(
 
     Example: cep audit code.json --trajectory trajectory.json --json
     """
+    from cep.codes.sources import find_code
     from cep.io.files import json_text
     from cep.io.outputs import claim, write_text
     from cep.proofs.audit import better_neighbours, grid_claims, null_threshold, zeros_by_direction
@@ -81,7 +80,7 @@ def audit(
     from cep.workflows.compare import check_frame, check_resolved, judge
     from motdiff.trajectory import Trajectory
 
-    stored = load_code(code, chip_ns=chip_ns)
+    stored = find_code(code, chip_ns=chip_ns)
     shutter = stored.code
     noise = load_camera(camera, photons=photons, read_noise=read_noise)
     stated = trajectory is not None or linear is not None
@@ -177,6 +176,7 @@ def mtf(
 
     Example: cep mtf --trajectory trajectory.json --code code.json --code raskar-52 -o mtf.png
     """
+    from cep.codes.sources import code_label, load_code
     from cep.io.outputs import claim
     from cep.optics.code import ShutterCode
     from cep.plots import check_figure_name, mtf_curve, mtf_figure, save
@@ -190,8 +190,8 @@ def mtf(
         label = code_label(source)
         while label in shutters:
             label += "'"
-        shutters[label] = load_code(source).code
-        check_resolved(motion, load_code(source).code.chips)
+        shutters[label] = load_code(source)
+        check_resolved(motion, load_code(source).chips)
     claim([output], force=force)
     with progress("drawing"):
         save(mtf_figure(motion, shutters), output)

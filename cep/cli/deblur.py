@@ -19,7 +19,6 @@ from cep.cli.options import (
     Seed,
     TrajectoryFile,
     load_camera,
-    load_code,
     load_motion,
     output_option,
 )
@@ -52,7 +51,11 @@ def deblur(
     ] = None,
     method: Annotated[
         str,
-        typer.Option("--method", metavar="NAME", help="wiener, inverse, tv, l0, tv-ring, or pnp (a trained denoiser)."),
+        typer.Option(
+            "--method",
+            metavar="NAME",
+            help="wiener, inverse, tv, l0, tv-ring, pnp (a trained denoiser), or module:name.",
+        ),
     ] = "wiener",
     gamma: Gamma = "srgb",
     camera: CameraFile = None,
@@ -69,22 +72,22 @@ def deblur(
 
     Example: cep deblur coded.png --trajectory trajectory.json --code code.json -o sharp.png
     """
+    from cep.codes.sources import load_code
     from cep.io.images import check_image_name, parse_gamma, read_photo
     from cep.io.outputs import claim
 
     parse_gamma(gamma)
-    shutter = None if code is None else load_code(code).code
+    shutter = None if code is None else load_code(code)
     target = output or image.with_name(f"{image.stem}_sharp.png")
     check_image_name(target)
     claim([target], force=force, inputs=[image])
 
     from cep.io.files import read_psf
-    from cep.restoration import METHODS, restore
+    from cep.restoration import find_method, restore
     from cep.workflows.calibrate import check_texture
     from cep.workflows.compare import check_resolved
 
-    if method not in METHODS:
-        raise ValueError(f"--method: must be one of {', '.join(METHODS)}, got {method!r}")
+    find_method(method)
     if (trajectory is None) == (psf is None):
         raise ValueError("--trajectory FILE or --psf FILE: exactly one of them is needed")
     if psf is not None and code is not None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cep.cli.console import finish
-from cep.cli.options import ChipNs, CodeSource, Force, Json, Seed, code_file
+from cep.cli.options import ChipNs, CodeSource, Force, Json, Seed
 from cep.cli.programs import (
     ClockPpm,
     Device,
@@ -49,6 +49,7 @@ def export(
 
     Example: cep export code.json --format c -o shutter_code.h
     """
+    from cep.codes.sources import code_file
     from cep.io.outputs import claim, write_text
     from hw.device import DeviceProfile
     from hw.drivers.report import Trust
@@ -106,6 +107,7 @@ def upload(
 
     Example: cep upload code.json --port /dev/ttyACM0 --arm
     """
+    from cep.codes.sources import code_file
     from cep.io.files import json_text
     from cep.io.outputs import claim, write_text
     from cep.optics.code import ShutterCode

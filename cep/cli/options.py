@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
-    from cep.io.files import StoredCode
     from cep.optics.camera import Camera
     from cep.optics.code import ShutterCode
     from motdiff.io.trajectories import StoredMotion
 
 __all__ = [
     "CAMERA", "COMMON", "MOTION", "CameraFile", "ChipNs", "CodeSource", "Force", "Gamma", "Json", "Linear", "Photons",
-    "ReadNoise", "Seed", "TrajectoryFile", "code_figures", "code_file", "code_label", "load_camera", "load_code",
-    "load_motion", "output_option",
+    "ReadNoise", "Seed", "TrajectoryFile", "code_figures", "load_camera", "load_motion", "output_option",
 ]  # fmt: skip
 
 COMMON, MOTION, CAMERA = "Common options", "Motion", "Camera"
@@ -50,7 +47,7 @@ Linear = Annotated[
     ),
 ]
 CodeSource = Annotated[
-    str, typer.Argument(metavar="CODE", help="Bits as 1011..., a code.json, or the name of a published code.")
+    str, typer.Argument(metavar="CODE", help="Bits as 1011..., a code.json, a published code's name, or module:name.")
 ]
 ChipNs = Annotated[
     int | None, typer.Option("--chip-ns", metavar="NS", min=1, help="Chip time, ns; replaces the file's.")
@@ -87,47 +84,6 @@ def load_motion(trajectory: Path | None, linear: float | None) -> StoredMotion:
     if not 0 < linear < 1e5:
         raise ValueError(f"--linear: must be a length above 0 px, got {linear:g}")
     return StoredMotion(Trajectory.straight(linear), source={"method": "linear"})
-
-
-def load_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
-    """Return the code that bits, a file, or the name of a published code stand for."""
-    from dataclasses import replace
-
-    from cep.codes.published import published
-    from cep.io.files import StoredCode, read_code
-    from cep.optics.code import ShutterCode
-
-    file = code_file(source)
-    if file is not None:
-        stored = read_code(file)
-    elif source.startswith(("0", "1")) or not source:
-        stored = StoredCode(ShutterCode(source))
-    else:
-        try:
-            stored = StoredCode(published(source).code)
-        except ValueError:
-            raise ValueError(
-                f"{source[:40]!r} is no code: give bits as 1011, a code.json file, or a published code's name "
-                "as raskar-52"
-            ) from None
-    return stored if chip_ns is None else replace(stored, code=ShutterCode(stored.code.bits, chip_ns))
-
-
-def code_file(source: str) -> Path | None:
-    """Return the file that a code is read from; None where its bits or a published code's name are given.
-
-    Bits are bits however many there are: a file name ends at some 255 characters, and asking for a longer one fails.
-    """
-    if not set(source) - set("01"):
-        return None
-    return Path(source) if source.endswith(".json") or os.path.isfile(source) else None
-
-
-def code_label(source: str) -> str:
-    """Name a code for tables and legends: a file by its stem, long bits by their head."""
-    if (file := code_file(source)) is not None:
-        return file.stem
-    return source if len(source) <= 16 else f"{source[:12]}... ({len(source)})"
 
 
 def load_camera(path: Path | None, *, photons: float | None, read_noise: float | None) -> Camera:

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.cli.options import load_code
-
 if TYPE_CHECKING:
     from hw.device import DeviceProfile
     from hw.drivers.cxp import Controller
@@ -55,10 +53,11 @@ def load_program(source: str, *, chip_ns: int | None, device: str | None) -> tup
     ValueError
         If the chip time is out of range, or the device cannot play the program: the line lists every limit it breaks.
     """
+    from cep.codes.sources import load_code
     from hw.device import load_profile
     from hw.program import MAX_CHIP_NS, Program
 
-    code = load_code(source, chip_ns=chip_ns).code
+    code = load_code(source, chip_ns=chip_ns)
     if code.chip_ns > MAX_CHIP_NS:
         where = f"{source}: chip time" if chip_ns is None else "--chip-ns:"
         raise ValueError(f"{where} must be below 2^63 ns, got {code.chip_ns:.6g}")

@@ -19,7 +19,6 @@ from cep.cli.options import (
     Seed,
     TrajectoryFile,
     load_camera,
-    load_code,
     load_motion,
     output_option,
 )
@@ -58,6 +57,7 @@ def simulate(
     """
     import numpy as np
 
+    from cep.codes.sources import load_code
     from cep.io.files import PSF_SUFFIXES, write_psf
     from cep.io.images import check_image_name, parse_gamma, read_photo, write_image
     from cep.io.outputs import claim, new_folder
@@ -69,7 +69,7 @@ def simulate(
 
     parse_gamma(gamma)
     motion = load_motion(trajectory, linear).trajectory
-    shutter = ShutterCode("1") if code is None else load_code(code).code
+    shutter = ShutterCode("1") if code is None else load_code(code)
     check_resolved(motion, shutter.chips)
     noise = load_camera(camera, photons=photons, read_noise=read_noise)
     target = output or sharp.with_name(f"{sharp.stem}_{'open' if code is None else 'coded'}.png")

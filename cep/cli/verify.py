@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cep.cli.console import FAILURE, complain, finish, table
-from cep.cli.options import ChipNs, CodeSource, Force, Json, Linear, TrajectoryFile, code_file, load_motion
+from cep.cli.options import ChipNs, CodeSource, Force, Json, Linear, TrajectoryFile, load_motion
 from cep.cli.programs import ClockPpm, load_program, open_port, program_figures
 
 if TYPE_CHECKING:
@@ -64,6 +64,7 @@ def verify(
         _held(program, port, clock_ppm=clock_ppm, as_json=as_json)
         return
     assert capture is not None
+    from cep.codes.sources import code_file
     from cep.io.outputs import claim, new_folder
     from hw.recordings.capture import read_capture
     from hw.recordings.playback import align

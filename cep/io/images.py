@@ -69,7 +69,19 @@ class Photo:
 
 
 def read_image(path: Path | str, *, gamma: str | float = "srgb", variable: str = "y") -> FloatArray:
-    """Read a photo's pixels: :func:`read_photo` without the particulars."""
+    """Read a photo as linear light, 0..1; parameters and errors are those of :func:`read_photo`.
+
+    Returns
+    -------
+    (H, W) or (H, W, 3) float64
+
+    Examples
+    --------
+    ::
+
+        photo = read_image("blurred.jpg")
+        recorded_linearly = read_image("frame.tif", gamma="linear")
+    """
     return read_photo(path, gamma=gamma, variable=variable).pixels
 
 
@@ -145,6 +157,14 @@ def write_image(path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str
         If the name has another suffix, or the samples are not finite.
     OSError
         If the folder cannot be written to.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_image(Path(folder) / "grey.png", np.full((16, 20), 0.5), bits=16)
+    ...     print(f"{read_image(Path(folder) / 'grey.png').mean():.4f}")
+    0.5000
     """
     target = Path(path)
     check_image_name(target)

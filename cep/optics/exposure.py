@@ -252,6 +252,12 @@ def coded_psf(
     ------
     ValueError
         If the path leaves the frame; the message says which size would do.
+
+    Examples
+    --------
+    >>> psf = coded_psf(Trajectory.straight(20.0), ShutterCode("11100101"))
+    >>> psf.shape, round(float(psf.sum()), 6)
+    ((64, 64), 0.625)
     """
     if edges is None and response is None:
         return np.asarray(np.tensordot(code.array, chip_psfs(trajectory, code.chips, size), axes=1), dtype=np.float64)

@@ -3,7 +3,7 @@
 from cep.restoration.direction import DirectionResult, compare_psfs, detect_direction
 from cep.restoration.inverse import inverse_filter
 from cep.restoration.l0 import l0, tv_less_ringing
-from cep.restoration.methods import METHODS, Restoration, misfit, restore, saturated
+from cep.restoration.methods import METHODS, Restoration, find_method, misfit, restore, saturated
 from cep.restoration.pnp import pnp
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
@@ -14,6 +14,7 @@ __all__ = [
     "Restoration",
     "compare_psfs",
     "detect_direction",
+    "find_method",
     "inverse_filter",
     "l0",
     "misfit",

@@ -82,6 +82,15 @@ def detect_direction(  # a test of directions, not a test
     ------
     ValueError
         If the photo is malformed.
+
+    Examples
+    --------
+    >>> from cep.optics.capture import capture
+    >>> rng = np.random.default_rng(0)
+    >>> scene = np.kron(rng.random((12, 12)), np.ones((8, 8)))
+    >>> path, code = Trajectory.from_samples([[0, 0], [8, 1], [12, 9]]), ShutterCode("1101000101101111")
+    >>> detect_direction(capture(scene, path.reversed(), code, rng=rng), path, code).direction
+    'reverse'
     """
     frame = max(size, trajectory.frame_size(), trajectory.reversed().frame_size())
     forward, reverse = (coded_psf(path, code, frame) for path in (trajectory, trajectory.reversed()))

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
 from cep.io.images import encode_image, write_image
+from cep.io.plugins import is_reference, load_object
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.direction import DirectionResult, detect_direction
@@ -25,7 +26,7 @@ from cep.restoration.wiener import wiener
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
-__all__ = ["METHODS", "Restoration", "misfit", "restore", "saturated"]
+__all__ = ["METHODS", "Restoration", "find_method", "misfit", "restore", "saturated"]
 
 FloatArray = NDArray[np.float64]
 METHODS: Mapping[str, Callable[..., FloatArray]] = {
@@ -96,7 +97,7 @@ def restore(
     *,
     trajectory: Trajectory | None = None,
     code: ShutterCode | None = None,
-    method: str = "wiener",
+    method: str | Callable[..., ArrayLike] = "wiener",
     **options: Any,
 ) -> Restoration:
     """Restore a photo with a PSF, or along the trajectory that it was exposed on.
@@ -113,8 +114,9 @@ def restore(
         Instead of a PSF.
     code : ShutterCode, optional
         Of an exposure along a trajectory; the open shutter when omitted.
-    method : str
-        "wiener", "inverse", "tv", "l0", "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser).
+    method : str or callable
+        "wiener", "inverse", "tv", "l0", "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser); or a
+        function of your own, or its ``module:name``, that takes (photo, psf) and returns the restored photo.
     **options
         Passed on to the method, as ``camera`` to "wiener" and "pnp".
 
@@ -134,8 +136,7 @@ def restore(
     >>> sharp.image.shape, sharp.residual < 0.001
     ((70, 70), True)
     """
-    if method not in METHODS:
-        raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {method!r}")
+    named, apply = find_method(method)
     if (psf is None) == (trajectory is None):
         raise ValueError("trajectory and psf: exactly one of them is needed")
     if psf is not None and code is not None:
@@ -170,11 +171,33 @@ def restore(
         notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: expect ringing around them")
     if 4 * reach > min(channels.shape[1:]):
         notes.append(f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x {channels.shape[1]} px")
-    image = METHODS[method](photo, psf, **options)
+    image = np.asarray(apply(photo, psf, **options), dtype=np.float64)
+    if image.shape != np.shape(photo):
+        raise ValueError(f"method: {named} returned an image of shape {image.shape}, wanted {np.shape(photo)}")
     return Restoration(
-        image, method, np.asarray(psf, dtype=np.float64), direction, test, misfit(photo, image, psf), reach, clipped,
+        image, named, np.asarray(psf, dtype=np.float64), direction, test, misfit(photo, image, psf), reach, clipped,
         tuple(notes), time.perf_counter() - started,
     )  # fmt: skip
+
+
+def find_method(method: str | Callable[..., ArrayLike]) -> tuple[str, Callable[..., ArrayLike]]:
+    """Return the name and the function of a restoration method, as :func:`restore` takes it.
+
+    Raises
+    ------
+    ValueError
+        If there is no such method.
+    """
+    if callable(method):
+        return getattr(method, "__name__", type(method).__name__), method
+    if method in METHODS:
+        return method, METHODS[method]
+    if is_reference(method):
+        found = load_object(method)
+        if callable(found):
+            return method, found
+        raise ValueError(f"method: {method} is no function")
+    raise ValueError(f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}")
 
 
 def _check_reach(name: str, reach_px: int, channels: FloatArray) -> None:

@@ -65,6 +65,12 @@ class SearchProblem:
     ------
     ValueError
         If an argument is malformed, or limits conflict: the line names a smallest set of them that no code keeps.
+
+    Examples
+    --------
+    >>> problem = SearchProblem.along(Trajectory.straight(20.0), chips=20, open_range=(8, 12), min_open=2)
+    >>> problem.satisfied(np.array([[1, 1] * 5 + [0] * 10, [1, 0] * 10])).tolist()
+    [True, False]
     """
 
     chips: int

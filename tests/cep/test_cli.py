@@ -15,7 +15,7 @@ from scipy.io import savemat
 
 from cep.cli import console
 from cep.cli.main import app
-from cep.cli.options import load_code
+from cep.codes.sources import load_code
 from cep.io.files import read_code, read_psf
 from cep.io.images import read_image, read_photo, write_image
 from cep.optics.code import ShutterCode
@@ -208,10 +208,10 @@ def test_progress_goes_to_stderr_of_a_terminal_only(capsys, monkeypatch):
 
 
 def test_codes_by_bits_file_and_name(workplace):
-    assert load_code("1011").code == ShutterCode("1011")
-    assert load_code("code.json").code.chip_ns == 250_000
-    assert load_code("code.json", chip_ns=7).code.chip_ns == 7
-    assert load_code("raskar-52").code.chips == 52
+    assert load_code("1011") == ShutterCode("1011")
+    assert load_code("code.json").chip_ns == 250_000
+    assert load_code("code.json", chip_ns=7).chip_ns == 7
+    assert load_code("raskar-52").chips == 52
 
 
 @pytest.mark.parametrize("chips", [256, 1024, 4096])
@@ -240,8 +240,8 @@ def test_what_is_neither_bits_nor_a_file_nor_a_name_is_one_line(cep, workplace, 
 
 def test_a_file_named_in_bits_is_not_read(cep, workplace):
     Path("1011").write_text(Path("code.json").read_text())
-    assert load_code("1011").code.chips == 4
-    assert load_code("./1011").code.chips == 16
+    assert load_code("1011").chips == 4
+    assert load_code("./1011").chips == 16
     assert cep.succeeds("export", "./1011", "--format", "csv")["file"] == "1011.csv"
 
 

@@ -71,6 +71,12 @@ def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") 
     ------
     ValueError
         If ``effort`` is another word.
+
+    Examples
+    --------
+    >>> limits = bound(SearchProblem(chips=16, open_range=(8, 8)))
+    >>> print(f"no code has a minimum above {limits.min_chip:.3f} chips")
+    no code has a minimum above 2.000 chips
     """
     if effort not in ("quick", "sdp"):
         raise ValueError(f'effort: must be "quick" or "sdp", got {effort!r}')
