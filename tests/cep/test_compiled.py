@@ -35,9 +35,9 @@ def test_a_package_that_cannot_be_written_keeps_its_code_elsewhere(package, tmp_
 
 @pytest.mark.skipif("NUMBA_CACHE_DIR" in os.environ, reason="numba was told another folder")
 def test_compiled_loops_are_kept_under_their_sources_name():
-    from cep.search.annealing import chains as walking
+    from cep.search.annealing import chains
 
     folder = kept_folder(Path(cep.__file__).parent, otherwise=Path.home() / ".cache" / "coded-exposure")
-    dispatchers = [value for value in vars(walking).values() if hasattr(value, "_cache")]
+    dispatchers = [value for value in vars(chains).values() if hasattr(value, "_cache")]
     assert dispatchers
     assert all(str(folder) in dispatcher._cache.cache_path for dispatcher in dispatchers)

@@ -1,0 +1,311 @@
+"""``cep optimize`` from the shell: proofs, forced chips, motions that may differ, a shutter's ramps."""
+
+import importlib
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cep.io.files import read_code
+from cep.optics.code import ShutterCode
+from cep.search.annealing.anneal import standard_moves
+from cep.search.fronts import pareto
+from cep.search.problem import SearchProblem
+from hw.device import load_profile
+from hw.program import Program
+from motdiff.io.trajectories import StoredMotion, write_motion
+from motdiff.trajectory import Trajectory
+
+
+def test_exact_proves_the_best_and_audit_confirms_it(cep, workplace):
+    found = cep.succeeds("optimize", "--linear", "13", "--chips", "13", "--method", "exact", "-o", "best.json")
+    assert found["proven"]
+    assert found["bits"] == "1111100110101"  # the Barker-13 code: docs/optima.md
+    assert found["min_chip"] == pytest.approx(1.362373, abs=1e-5)
+    # light-true, as that of the annealing
+    assert found["objective"] == pytest.approx(-20 * np.log10(found["min_chip"] / 13), abs=1e-5)
+    stored = read_code("best.json")
+    assert stored.problem["proof"]["bits"]
+    audited = cep.succeeds("audit", "best.json")
+    assert audited["verified"]["holds"]
+
+
+def test_a_bound_of_zero_has_no_gap(cep, workplace):
+    # P(-1) = 0 with both of two chips open
+    found = cep.succeeds("optimize", "--linear", "4", "--chips", "2", "--open", "2", "--steps", "100", "-o", "two.json")
+    assert (found["bits"], found["min_chip"], found["bound"], found["gap"]) == ("11", 0.0, 0.0, 0.0)
+
+
+def test_a_proof_says_over_which_frequencies(cep, workplace):
+    options = ("optimize", "--linear", "12", "--chips", "10", "--method", "exact", "--force", "-o", "new.json")
+    assert "better on the unit circle" in cep(*options).out
+    # along several motions only the samples are counted out: the continuum may rank the codes otherwise
+    assert "band samples" in cep(*options, "--speed", "0.9:1.1").out
+
+
+def test_a_forged_certificate_is_found_out(cep, workplace):
+    cep.succeeds("optimize", "--linear", "13", "--chips", "13", "--steps", "2000", "-o", "new.json")
+    document = json.loads(Path("new.json").read_text())
+    document["certificate"]["lower"] *= 1.01
+    document["certificate"]["upper"] *= 1.01
+    Path("forged.json").write_text(json.dumps(document))
+    audited = cep.succeeds("audit", "forged.json")
+    assert not audited["verified"]["holds"]
+
+
+def test_a_certificate_of_one_way_does_not_cover_both(cep, workplace):
+    options = ("--trajectory", "trajectory.json", "--chips", "8", "--steps", "500", "--direction", "forward")
+    cep.succeeds("optimize", *options, "-o", "new.json")
+    audited = cep.succeeds("audit", "new.json", "--trajectory", "trajectory.json")
+    assert audited["verified"]["holds"]
+    assert any("does not cover this motion, forward and backward" in line for line in audited["warnings"])
+
+
+def test_forced_chips_are_kept(cep, workplace):
+    options = ("optimize", "--linear", "12", "--chips", "12", "--steps", "3000", "-o", "new.json")
+    found = cep.succeeds(*options, "--fixed", "??0???0?????", "--first-open", "--last-open")
+    assert found["bits"][0] == found["bits"][-1] == "1"
+    assert found["bits"][2] == found["bits"][6] == "0"
+
+
+def test_other_speeds_and_clocks_count(cep, workplace):
+    options = ("optimize", "--linear", "12", "--chips", "12", "--objective", "noise", "--steps", "3000", "--force")
+    plain = cep.succeeds(*options, "-o", "plain.json")
+    wider = cep.succeeds(*options, "--speed", "0.8:1.2", "--drift", "0.02", "--jitter", "0.05", "-o", "wider.json")
+    # its figures are the worst over all of them
+    assert wider["noise_gain_db"] > plain["noise_gain_db"]
+    assert any("on time" in warning for warning in wider["warnings"])
+    assert wider["gap"] is not None
+    assert wider["noise_gain_db"] >= wider["bound"]
+
+
+def test_a_slow_shutter_is_designed_for(cep, workplace):
+    options = ("optimize", "--linear", "20", "--chips", "16", "--objective", "noise", "--steps", "3000", "--force")
+    quick = cep.succeeds(*options, "--device", "flc", "--chip-ns", "1000000", "-o", "quick.json")
+    slow = cep.succeeds(*options, "--device", "flc", "--chip-ns", "50000", "-o", "slow.json")
+    assert slow["noise_gain_db"] > quick["noise_gain_db"]
+    assert ShutterCode(slow["bits"]).chips == 16
+
+
+def test_only_what_a_strobe_can_play_is_proposed(cep, workplace):
+    Path("strobe.toml").write_text(
+        'schema = "hw.device/1"\nname = "strobe"\nmax_on_ns = 2500000\nmax_rate_hz = 300.0\nmax_duty = 0.5\n'
+    )
+    options = ("optimize", "--linear", "16", "--chips", "16", "--device", "strobe.toml", "--force", "-o", "new.json")
+    for method in (("--steps", "3000"), ("--method", "exact"), ("--frames", "2", "--steps", "3000")):
+        found = cep.succeeds(*options, *method)
+        stored = read_code(found["file"] if "file" in found else found["files"][0])
+        assert {name: stored.problem[name] for name in ("max_open", "min_period", "open_range")} == {
+            "max_open": 2, "min_period": 4, "open_range": [1, 8],
+        }  # fmt: skip
+        for bits in [found["bits"]] if isinstance(found["bits"], str) else found["bits"]:
+            program = Program.from_bits(bits, chip_ns=1_000_000)
+            assert load_profile("strobe.toml").check(program) == ()
+    # the stricter one of device and wish counts
+    found = cep.succeeds(*options, "--steps", "3000", "--max-open", "1", "--min-period", "3")
+    assert {name: read_code("new.json").problem[name] for name in ("max_open", "min_period")} == {
+        "max_open": 1, "min_period": 4,
+    }  # fmt: skip
+    assert set(found["bits"].split("0")) <= {"", "1"}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--method", "guess"), "--method: must be anneal or exact"),
+        (("--method", "exact", "--objective", "noise"), "min-mtf"),
+        (("--bound", "loose"), "--bound: must be quick or sdp"),
+        (("--fixed", "1?"), "--fixed: must be 12 characters"),
+        (("--fixed", "0???????????", "--first-open"), "--first-open: --fixed closes"),
+        (("--speed", "fast"), "--speed: must be LOW:HIGH"),
+        (("--speed", "-1:1"), "above 0"),
+        (("--drift", "0.9"), "--drift: must lie within -0.5..0.5"),
+        (("--drift", "nan"), "--drift"),
+        (("--jitter", "0.4"), "--jitter: must lie within 0..0.15"),
+        (("--objective", "noise:much"), "--objective: must be a name or a mix"),
+        (("--objective", "noise:1,noise:2"), "twice"),
+        (("--method", "exact", "--steps", "9"), "--steps"),
+        (("--rule", "median"), "rule"),
+        (("--min-closed", "9", "--open", "8", "--max-pulses", "1", "--fixed", "1?????0????1"), "conflict"),
+        (
+            ("--max-open", "2", "--min-open", "3"),
+            "--min-open 3 and --max-open 2 conflict: no code of 12 chips keeps both",
+        ),
+        (("--max-open", "0"), "--max-open"),
+        (("--min-period", "0"), "--min-period"),
+        (
+            ("--min-period", "7", "--max-open", "2", "--open", "5"),
+            "--open 5..5, --max-open 2 and --min-period 7 conflict",
+        ),
+        (("--device", "dark.toml"), "--chip-ns: dark opens for 10 ns at most, a chip must not last longer"),
+    ],
+)
+def test_bad_wishes_are_one_line(cep, workplace, options, message):
+    Path("dark.toml").write_text('schema = "hw.device/1"\nname = "dark"\nmax_on_ns = 10\n')
+    line = cep.refuses("optimize", "--linear", "12", "--chips", "12", "-o", "never.json", *options)
+    assert message in line
+    assert not Path("never.json").exists()
+
+
+def test_a_mix_is_searched(cep, workplace):
+    options = ("optimize", "--linear", "12", "--chips", "12", "--open", "6", "--steps", "30000", "--force")
+    both = cep.succeeds(*options, "--objective", "min-mtf:0.5,noise:1", "-o", "both.json")
+    assert (both["bound"], both["gap"]) == (None, None)
+    noise = cep.succeeds(*options, "--objective", "noise", "-o", "noise.json")
+    assert both["noise_gain_db"] >= noise["noise_gain_db"] - 1e-9
+    assert read_code("both.json").problem["objective"] == [["min-mtf", 0.5], ["noise", 1.0]]
+
+
+def test_nothing_to_choose_takes_no_time(cep, workplace):
+    found = cep.succeeds("optimize", "--linear", "6", "--chips", "6", "--open", "6", "-o", "all.json")
+    assert (found["bits"], found["steps"], found["stopped"]) == ("111111", 0, "complete")
+    cep("optimize", "--linear", "6", "--chips", "6", "--open", "6", "--time", "60", "--force")
+    assert "no other code keeps the limits" in cep.out
+
+
+def test_starts_from_the_relaxation(cep, workplace):
+    """One move leaves the search no better than its starts: those drawn from the relaxation win over random ones."""
+    x = 9 * np.linspace(0, 1, 12) ** 2
+    write_motion("faster.json", StoredMotion(Trajectory.from_samples(np.stack([x, 0.5 * x], 1))))
+    options = ("optimize", "--trajectory", "faster.json", "--direction", "forward", "--chips", "30", "--open", "15")
+    options += ("--objective", "min-mtf", "--steps", "1", "--seed", "1", "--force")
+    plain, started = cep.succeeds(*options), cep.succeeds(*options, "--bound", "sdp")
+    assert started["objective"] < plain["objective"] - 0.1
+    assert started["min_mtf"] <= started["bound"]
+
+
+@pytest.mark.parametrize(
+    ("motion", "objective"),
+    [
+        ("straight", "noise"),
+        ("curved", "min-mtf"),
+        pytest.param("curved", "noise", marks=pytest.mark.slow(reason="relaxes a mean over all samples of the band")),
+    ],
+)
+def test_a_relaxation_bounds_more_tightly(cep, workplace, motion, objective):
+    along = {"straight": ("--linear", "10"), "curved": ("--trajectory", "trajectory.json", "--direction", "forward")}
+    options = ("optimize", *along[motion], "--chips", "8", "--open", "4", "--steps", "500", "--objective", objective)
+    quick, tight = cep.succeeds(*options, "--force"), cep.succeeds(*options, "--force", "--bound", "sdp")
+    if objective == "noise":  # dB: no code has less than the bound
+        assert quick["bound"] + 0.1 < tight["bound"] <= tight["noise_gain_db"]
+    else:
+        assert tight["min_mtf"] <= tight["bound"] < 0.9 * quick["bound"]
+
+
+def test_a_comparison_that_the_time_ended_is_told(cep, workplace, monkeypatch):
+    """Long codes: their baselines may take no longer than the code itself."""
+    limits = []
+
+    def cut_short(_length_px, chips, *, time_s, **_options):
+        limits.append(time_s)
+        return SimpleNamespace(code=ShutterCode("1" * chips), stopped="time")
+
+    monkeypatch.setattr("cep.workflows.compare.dnf_search", cut_short)
+    searched = ["optimize", "--linear", "12", "--chips", "12", "--steps", "500", "--time", "9"]
+    found = cep.succeeds(*searched, "--force")
+    assert limits == [9.0]
+    assert found["baselines"]["length-only code"]["stopped_early"]
+    assert found["stopped"] == "steps"
+    (warning,) = found["warnings"]
+    assert "the search of the length-only code was stopped early" in warning
+    cep(*searched, "--force")
+    assert cep.err == f"cep: warning: {warning}\n"
+
+
+# -- what ends a search -----------------------------------------------------------------------------------------------
+
+QUICK = ("optimize", "--linear", "12", "--chips", "12", "--force")
+STANDARD = standard_moves(SearchProblem(chips=12))
+
+
+@pytest.fixture
+def budgets(monkeypatch):
+    """Collect the budget of every search of a command, and make it end at once."""
+    seen = []
+
+    def hasty(real):
+        def search(problem, *arguments, steps, time_s, **options):
+            seen.append((steps, time_s))
+            return real(problem, *arguments, **options, steps=500, time_s=60.0)
+
+        return search
+
+    for place in ("anneal.anneal", "frames.anneal_frames"):
+        name = f"cep.search.annealing.{place}"
+        module, function = name.rsplit(".", 1)
+        monkeypatch.setattr(name, hasty(getattr(importlib.import_module(module), function)))
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("given", "budget"),
+    [
+        ((), (STANDARD, 60.0)),
+        (("--time", "7"), (None, 7.0)),
+        (("--steps", "900"), (900, math.inf)),
+        (("--steps", "900", "--time", "7"), (900, 7.0)),
+    ],
+)
+def test_the_time_rules_unless_moves_are_given(cep, workplace, budgets, given, budget):
+    cep.succeeds(*QUICK, *given)
+    assert budgets == [budget]
+    del budgets[:]
+    cep.succeeds(*QUICK, *given, "--frames", "2")
+    (single, joint), (steps, time_s) = budgets, budget
+    assert single == (steps, time_s / 2)
+    assert joint[0] == steps
+    assert time_s / 2 <= joint[1] <= time_s
+
+
+@pytest.mark.parametrize("more", [(), ("--frames", "2")])
+def test_the_result_says_what_ended_the_search(cep, workplace, more):
+    for given, stopped, words in (
+        (("--steps", "900"), "steps", "moves made"),
+        (("--time", "0.2"), "time", "stopped by the time"),
+        (("--steps", "1000000000", "--time", "0.2"), "time", "stopped by the time"),
+    ):
+        found = cep.succeeds(*QUICK, *more, *given)
+        assert (found["stopped"], found["interrupted"]) == (stopped, False)
+        assert found["steps"] >= (900 if stopped == "steps" else 1)
+        assert [line for line in found["warnings"] if "ended the search before its 1,000,000,000 moves" in line] == (
+            found["warnings"] if len(given) == 4 else []
+        )
+        file = found["files"][0] if more else found["file"]
+        assert read_code(file).problem["stopped"] == stopped
+        cep(*QUICK, *more, *given)
+        assert words in cep.out
+
+
+def test_a_proof_says_so_and_takes_no_budget(cep, workplace):
+    assert cep.succeeds(*QUICK, "--method", "exact")["stopped"] == "proven"
+    for option in ("--steps", "--time"):
+        line = cep.refuses(*QUICK, "--method", "exact", option, "9")
+        assert f"{option}: not valid with --method exact" in line
+
+
+def test_the_front_says_what_ended_it(cep, workplace):
+    quick = ("pareto", "--chips", "12", "--open", "6", "--force")
+    for given, stopped in (
+        (("--steps", "900"), "steps"),
+        (("--time", "0.2"), "time"),
+        (("--steps", "1000000000", "--time", "0.2"), "time"),
+    ):
+        found = cep.succeeds(*quick, *given)
+        assert (found["stopped"], found["interrupted"]) == (stopped, False)
+        assert bool(found["warnings"]) == (len(given) == 4)
+
+
+def test_the_fronts_time_rules_unless_moves_are_given(cep, workplace, monkeypatch):
+    seen, real = [], pareto.pareto_front
+
+    def hasty(problem, *, steps, time_s, **options):
+        seen.append((steps, time_s))
+        return real(problem, **options, steps=100, time_s=60.0)
+
+    monkeypatch.setattr(pareto, "pareto_front", hasty)
+    for given in ((), ("--time", "7"), ("--steps", "90"), ("--steps", "90", "--time", "7")):
+        cep.succeeds("pareto", "--chips", "12", "--open", "6", "--force", *given)
+    assert seen == [(None, 60.0), (None, 7.0), (90, math.inf), (90, 7.0)]

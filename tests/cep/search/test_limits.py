@@ -1,0 +1,237 @@
+"""Codes within limits: counted, drawn and refused as brute force does."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cep.optics.code import ShutterCode
+from cep.search import sampling
+from cep.search.limits import (
+    Limits,
+    _fewest_free_pulses,
+    _fewest_pulses,
+    check_feasible,
+    checked_mask,
+    conflicting,
+    feasible,
+    fixed_mask,
+)
+from cep.search.sampling import draw, log_count
+
+
+@st.composite
+def some_limits(draw_one, most_chips=10, masks=True, runs=True):
+    chips = draw_one(st.integers(1, most_chips))
+    low = draw_one(st.integers(1, chips))
+    mask = draw_one(st.text("01???", min_size=chips, max_size=chips)) if masks and draw_one(st.booleans()) else None
+    return Limits(
+        chips,
+        (low, draw_one(st.integers(low, chips))),
+        draw_one(st.integers(1, 4)),
+        draw_one(st.integers(1, 4)),
+        draw_one(st.none() | st.integers(1, 4)),
+        checked_mask(mask, chips),
+        draw_one(st.none() | st.integers(1, 6)) if runs else None,
+        draw_one(st.integers(1, 8)) if runs else 1,
+    )
+
+
+def keeps(bits, limits):
+    """Say it chip by chip, run by run."""
+    if "1" not in bits:
+        return False
+    runs = ShutterCode(bits.strip("0")).runs
+    starts = [place for place, bit in enumerate(bits) if bit == "1" and bits[:place][-1:] != "1"]
+    return (
+        limits.open_range[0] <= bits.count("1") <= limits.open_range[1]
+        and all(length >= (limits.min_open if bit else limits.min_closed) for bit, length in runs)
+        and (limits.max_pulses is None or ShutterCode(bits).pulses <= limits.max_pulses)
+        and (limits.max_open is None or all(length <= limits.max_open for bit, length in runs if bit))
+        and all(after - before >= limits.min_period for before, after in itertools.pairwise(starts))
+        and all(mark in ("?", bit) for mark, bit in zip(limits.fixed or bits, bits, strict=True))
+    )
+
+
+def every_code(limits):
+    everything = ("".join(bits) for bits in itertools.product("01", repeat=limits.chips))
+    return {bits for bits in everything if keeps(bits, limits)}
+
+
+def text_of(codes):
+    return ["".join(map(str, code)) for code in codes]
+
+
+@given(some_limits(), st.integers(0, 99))
+@settings(max_examples=150, deadline=None)
+def test_counts_and_draws_are_those_of_enumeration(limits, seed):
+    codes = every_code(limits)
+    assert feasible(limits) == bool(codes)
+    if codes:
+        assert np.exp(log_count(limits)) == pytest.approx(len(codes))
+        assert set(text_of(draw(limits, 30, rng=np.random.default_rng(seed)))) <= codes
+
+
+@given(some_limits(most_chips=12, masks=False))
+@settings(max_examples=150, deadline=None)
+def test_longest_runs_and_least_periods_are_those_of_enumeration(limits):
+    codes = every_code(limits)
+    assert feasible(limits) == bool(codes)
+    if codes:
+        assert np.exp(log_count(limits)) == pytest.approx(len(codes))
+
+
+@given(some_limits(most_chips=60, masks=False))
+@settings(max_examples=100, deadline=None)
+def test_fewest_pulses_of_free_codes_are_those_of_the_walks(limits):
+    """The closed form against the shortest walk that serves masks."""
+    closed_form = _fewest_free_pulses(limits)
+    low, high = limits.open_range
+    assert (closed_form == _fewest_pulses(limits))[low : high + 1].all()
+
+
+@given(some_limits(most_chips=60, masks=False, runs=False))
+@settings(max_examples=60, deadline=None)
+def test_closed_form_and_walks_count_the_same(limits):
+    if feasible(limits):
+        walks = sampling._walks(limits, True, 0.0)
+        assert np.logaddexp.reduce(walks.by_count) == pytest.approx(log_count(limits), abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        Limits(7, (1, 7)),
+        Limits(8, (4, 4)),
+        Limits(9, (3, 6), 2, 2, 2),
+        Limits(9, (1, 9), 1, 3),
+        Limits(7, (1, 7), fixed="1?????1"),
+        Limits(9, (3, 6), 2, 2, 2, "???0????1"),
+        Limits(9, (4, 5), 1, 2, 3, "????1????"),
+        Limits(10, (1, 10), 2, 1, 2, "0?????????"),
+        Limits(9, (1, 9), max_open=2),
+        Limits(9, (1, 9), min_period=4),
+        Limits(10, (3, 6), 1, 2, max_open=3, min_period=4),
+        Limits(10, (1, 10), 2, 1, 3, max_open=2, min_period=5),
+        Limits(10, (2, 7), 1, 1, 2, "?1????????", max_open=4, min_period=6),
+    ],
+)
+@pytest.mark.parametrize("closed_form", [True, False])
+def test_every_code_is_equally_likely(limits, closed_form):
+    codes = sorted(every_code(limits))
+    rng, many = np.random.default_rng(3), 200 * len(codes)
+    drawn = draw(limits, many, rng=rng) if closed_form else sampling._walks(limits, True, 0.0).draw(many, rng)
+    assert drawn.dtype == np.int8
+    found, counts = np.unique(text_of(drawn), return_counts=True)
+    assert found.tolist() == codes
+    # chi-square of this many degrees of freedom: mean dof, variance 2 dof
+    dof = len(codes) - 1
+    assert ((counts - 200) ** 2 / 200).sum() < dof + 4 * np.sqrt(2 * dof)
+
+
+def test_published_numbers():
+    assert np.exp(log_count(Limits(52, (26, 26)))) == pytest.approx(495918532948104)  # 52 over 26
+    assert np.exp(log_count(Limits(30, (1, 30), min_closed=29))) == pytest.approx(30 * 31 / 2)  # one run, anywhere
+    lucas = Limits(20, (1, 20), min_open=20)
+    assert np.exp(log_count(lucas)) == pytest.approx(1)
+    # words without two ones in a row (Fibonacci) and without three (tribonacci), less the one without any
+    assert np.exp(log_count(Limits(30, (1, 30), max_open=1))) == pytest.approx(2178309 - 1)
+    assert np.exp(log_count(Limits(30, (1, 30), max_open=2))) == pytest.approx(98950096 - 1)
+    # ones at least three apart (Narayana's cows)
+    assert np.exp(log_count(Limits(30, (1, 30), max_open=1, min_period=3))) == pytest.approx(125491 - 1)
+
+
+@pytest.mark.parametrize("chips", [200, 600])
+@pytest.mark.parametrize("mask", [None, {"first_open": True, "last_open": True, "forced_closed": range(40, 60)}])
+def test_long_codes_keep_their_limits(chips, mask):
+    limits = Limits(chips, (chips // 3, chips // 2), 2, 3, 30, mask and fixed_mask(chips, **mask))
+    for one in (limits, replace(limits, max_open=chips // 20 + 10, min_period=9)):
+        check_feasible(one)
+        codes = text_of(draw(one, 8, rng=np.random.default_rng(0)))
+        assert all(keeps(bits, one) for bits in codes)
+        assert len(set(codes)) == 8
+
+
+@pytest.mark.parametrize("most", [2, 3, 12])
+@pytest.mark.parametrize("runs", [{}, {"max_open": 11, "min_period": 3}])
+def test_too_large_a_table_tilts_towards_fewer_pulses_and_keeps_the_limits(monkeypatch, most, runs):
+    limits = Limits(40, (15, 20), 1, 1, most, fixed_mask(40, first_open=True, last_open=True), **runs)
+    exact = draw(limits, 400, rng=np.random.default_rng(0))
+    monkeypatch.setattr(sampling, "_MOST_NUMBERS", 5000)
+    codes = draw(limits, 400, rng=np.random.default_rng(0))
+    assert all(keeps(bits, limits) for bits in text_of(codes))
+    pulses = [(np.diff(drawn, axis=1, prepend=0) > 0).sum(axis=1).mean() for drawn in (codes, exact)]
+    assert pulses[0] <= pulses[1] + 0.1
+    with pytest.raises(ValueError, match="too many to count"):
+        log_count(limits)
+
+
+@given(some_limits(most_chips=9))
+@settings(max_examples=150, deadline=None)
+def test_conflicts_are_real_and_smallest(limits):
+    names = conflicting(limits)
+    free = {
+        "open_range": (1, limits.chips), "min_open": 1, "min_closed": 1, "max_pulses": None, "fixed": None,
+        "max_open": None, "min_period": 1,
+    }  # fmt: skip
+
+    def codes_with(kept):
+        left = {name: getattr(limits, name) if name in kept else none for name, none in free.items()}
+        return every_code(Limits(limits.chips, **left))
+
+    assert bool(names) == (not every_code(limits))
+    if names:
+        assert not codes_with(names)
+        for name in names:
+            assert codes_with(set(names) - {name})
+
+
+@pytest.mark.parametrize(
+    ("limits", "line"),
+    [
+        (Limits(4, (1, 4), fixed="0000"), "fixed (0 forced open, 4 forced closed): no code of 4 chips keeps it"),
+        (
+            Limits(52, (30, 30), 1, 3, 9, "1??" + "0?1?" * 12 + "1"),
+            "max_pulses 9 and fixed (14 forced open, 12 forced closed) conflict: no code of 52 chips keeps both",
+        ),
+        (
+            Limits(12, (9, 12), 1, 4, None, "1????0?????1"),
+            "open_range 9..12, min_closed 4 and fixed (2 forced open, 1 forced closed) conflict: "
+            "no code of 12 chips keeps all 3",
+        ),
+        (Limits(9, (1, 9), 4, max_open=3), "min_open 4 and max_open 3 conflict: no code of 9 chips keeps both"),
+        (
+            Limits(20, (9, 20), max_open=3, min_period=9),
+            "open_range 9..20, max_open 3 and min_period 9 conflict: no code of 20 chips keeps all 3",
+        ),
+        (
+            Limits(9, (1, 9), min_period=5, fixed="1?0?1????"),
+            "min_period 5 and fixed (2 forced open, 1 forced closed) conflict: no code of 9 chips keeps both",
+        ),
+        (Limits(9, (2, 3), 4), "open_range 2..3 and min_open 4 conflict: no code of 9 chips keeps both"),
+    ],
+)
+def test_the_line_names_what_conflicts(limits, line):
+    with pytest.raises(ValueError, match=r".") as caught:
+        check_feasible(limits)
+    assert str(caught.value) == line
+
+
+def test_masks():
+    assert fixed_mask(5) == "?????"
+    assert fixed_mask(5, first_open=True, last_open=True, forced_open=[1], forced_closed=[3]) == "11?01"
+    assert checked_mask(None, 4) is checked_mask("????", 4) is None
+    assert checked_mask("1??0", 4) == "1??0"
+    for arguments, words in [
+        ({"forced_open": [5]}, "forced_open: chips of a code of 5 are 0..4, got 5"),
+        ({"forced_closed": [-1]}, "forced_closed: .* got -1"),
+        ({"first_open": True, "forced_closed": [0]}, "chip 0 is forced open as well"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            fixed_mask(5, **arguments)
+    for mask, words in [("1?", "for each of 4 chips, got 2"), ("1?x0", "string of 0"), (101, "string of 0")]:
+        with pytest.raises(ValueError, match=words):
+            checked_mask(mask, 4)
