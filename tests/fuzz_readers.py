@@ -297,7 +297,7 @@ def _network(path):
 
 
 def _learned_code(path):
-    from cep.codes.dce.weights import load_network
+    from research.dce.weights import load_network
 
     return load_network(path)
 
@@ -339,7 +339,7 @@ READERS = {
         ".safetensors", _file("motdiff", "weights", "motdiff.safetensors"), _network, mend=_safetensors_mended
     ),
     "learned code": Reader(
-        ".safetensors", _file("cep", "codes", "dce", "dce.safetensors"), _learned_code, mend=_safetensors_mended
+        ".safetensors", _file("research", "dce", "dce.safetensors"), _learned_code, mend=_safetensors_mended
     ),
 }
 

@@ -23,6 +23,7 @@ MAY_IMPORT = {
     "motdiff": {"motdiff"},  # motion is useful without shutters and codes
     "hw": {"hw"},  # a shutter is driven without numpy, photos or theory
     "cep": {"cep", "motdiff", "hw"},
+    "research": {"research", "cep", "motdiff"},  # trainings outside the wheel
 }
 
 HEAVY = {"torch", "cvxpy", "matplotlib", "skimage", "numba"}
@@ -136,7 +137,7 @@ def within(name, names):
 
 
 def imports_point_downward(modules):
-    """Motdiff and hw know nothing of cep or of each other."""
+    """Motdiff and hw import neither cep nor each other; nothing imports research."""
     for module in modules:
         upward = {root_of(name) for name in module.imports} & set(MAY_IMPORT) - MAY_IMPORT[module.package]
         for package in sorted(upward):

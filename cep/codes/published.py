@@ -14,6 +14,7 @@ from cep.proofs.certify.minimum import min_chip
 
 __all__ = [
     "CLAIMS",
+    "DCE_CODE",
     "PUBLISHED",
     "PublishedCode",
     "best_for",
@@ -55,6 +56,12 @@ CLAIMS: Mapping[str, tuple[int, float]] = MappingProxyType(
     }
 )
 """Minima that their authors claim, relative to DC, with the points of the DFT they were read from."""
+
+DCE_CODE = ShutterCode("11000001010011111111010010001100")
+"""One code for all motions, learned with a restoration network after Zhang et al., DCE, Photonics Research 2023.
+
+The paper publishes no code: this one comes from our training (``research/dce``) and is no entry of the registry.
+"""
 
 # hex digits, most significant bit = first chip; the last n bits count
 _JEON_HEX = {

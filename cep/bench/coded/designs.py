@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cep.codes.published import for_chips, published
+from cep.codes.published import DCE_CODE, for_chips, published
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import anneal
@@ -101,9 +101,7 @@ def designed(
     if design == "open":
         return ShutterCode("1" * chips)
     if design == "dce":
-        from cep.codes.dce import dce_code
-
-        return dce_code()
+        return DCE_CODE
     if design == "dnf":
         assert known.length_px is not None
         return _searched(dnf_problem(known.length_px, chips, open_range=open_range), steps=steps, rng=rng)

@@ -13,7 +13,6 @@ from cep.bench.coded.designs import DESIGNS, Known
 from cep.bench.coded.protocol import CodedProtocol, drawn_motions, paths_from, paths_to
 from cep.bench.coded.stages import choose_code, motion_of, photo_of
 from cep.bench.datasets import Cut
-from cep.codes.dce.shipped import SHIPPED
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.engine import Outcome, run_cells
 from cep.jobs.fingerprint import source_version
@@ -339,7 +338,7 @@ _CHOSEN = {
     "random": (_LIGHT,),
     "raskar-52": (_PUBLISHED,),
     "dnf": ("cep.search.dnf", *_SEARCHED),
-    "dce": ("cep.codes.dce.shipped",),
+    "dce": (_PUBLISHED,),
 }
 
 
@@ -352,10 +351,7 @@ def motion_version(method: str) -> str:
 
 def code_version(design: str) -> str:
     """Fingerprint of what chooses a code: a design of :data:`cep.bench.coded.designs.DESIGNS`."""
-    files = [SHIPPED] if design == "dce" else []
-    return source_version(
-        _CHOSEN.get(design, _SEARCHED), alone=[_PATHS, f"{_HERE}.designs", f"{_HERE}.stages"], files=files
-    )
+    return source_version(_CHOSEN.get(design, _SEARCHED), alone=[_PATHS, f"{_HERE}.designs", f"{_HERE}.stages"])
 
 
 def photo_version() -> str:

@@ -1,1 +1,1 @@
-"""A small denoiser, told the noise level: the prior of the plug-and-play restoration (see README.md)."""
+"""Denoiser of the plug-and-play restoration; white Gaussian noise of a known level (see README.md)."""

@@ -1,4 +1,4 @@
-"""What the denoiser is worth on photos that it has not seen."""
+"""PSNR of denoised photos outside the training set."""
 
 from __future__ import annotations
 

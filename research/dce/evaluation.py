@@ -1,4 +1,4 @@
-"""What a learned code and its network are worth on photos that they have not seen."""
+"""PSNR of a learned code and its network on photos outside the training set."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.codes.dce.card import read_card
-from cep.codes.dce.shipped import SHIPPED, restore
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.wiener import wiener
@@ -20,6 +18,7 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import photograph, to_linear, visible
 from motdiff.training.motion_bank import MotionMix, draw_motion
 from motdiff.training.photos import load_photos
+from research.dce.weights import WEIGHTS, read_card, restore
 
 __all__ = ["EvaluationRow", "evaluate", "scenes_of"]
 
@@ -39,9 +38,9 @@ class EvaluationRow:
     as_taken_db : float
         Of the photo over the code's duty: nothing is restored.
     network_db : float
-        Of the network, which is not told the motion.
+        Of the network; the motion is no input.
     wiener_db : float
-        Of the Wiener filter, which is told it and the noise.
+        Of the Wiener filter with the true motion and noise.
     gain_error_db : float
         Standard error of the network's mean gain over nothing.
     """
@@ -71,7 +70,7 @@ def evaluate(
     count: int,
     seed: int,
     sigma: float = 0.01,
-    weights: Path = SHIPPED,
+    weights: Path = WEIGHTS,
 ) -> tuple[EvaluationRow, ...]:
     """Take and restore ``count`` photos with each of: the learned code, the one it began with, the open shutter.
 

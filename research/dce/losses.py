@@ -33,7 +33,7 @@ def charbonnier(restored: Tensor, sharp: Tensor) -> Tensor:
 
 
 def edge_loss(restored: Tensor, sharp: Tensor) -> Tensor:
-    """:func:`charbonnier` of what a binomial blur of 5 x 5 px takes away: the finest level of a Laplacian pyramid."""
+    """:func:`charbonnier` of the finest level of a Laplacian pyramid: photos minus their 5 x 5 binomial blur."""
     return charbonnier(_fine(restored), _fine(sharp))
 
 

@@ -8,15 +8,13 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from cep.codes.dce.__main__ import run
-from cep.codes.dce.card import SCHEMA, read_card
-from cep.codes.dce.samples import SIGMA_MAX, Samples, motion_mix
-from cep.codes.dce.shipped import dce_code, restore
-from cep.codes.dce.training import START, Settings, Trainer, train
-from cep.codes.dce.weights import export_weights, load_network
 from cep.io.images import write_image
 from cep.optics.code import ShutterCode
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from research.dce.__main__ import run
+from research.dce.samples import SIGMA_MAX, Samples, motion_mix
+from research.dce.training import START, Settings, Trainer, train
+from research.dce.weights import SCHEMA, export_weights, load_network, read_card, restore
 
 TINY = Settings(start="1101000101", batch=2, crop_px=16, rate=2e-3, code_rate=0.02)
 
@@ -164,7 +162,7 @@ def test_weights_come_back_to_half_precision_with_their_code(trained, tmp_path):
     for name, tensor in load_network(file).state_dict().items():
         torch.testing.assert_close(tensor, trainer.network.state_dict()[name], rtol=2**-11, atol=2**-24)
     card = read_card(file)
-    assert dce_code(file) == card.code == trainer.code
+    assert card.code == trainer.code
     assert card.start == ShutterCode(TINY.start)
     assert (card.steps, card.notes) == (8, {"photos": "blocks"})
     before = file.read_bytes()
@@ -190,13 +188,13 @@ def test_what_are_no_weights_is_refused_in_one_line(trained, tmp_path):
     _, folder = trained
     file, bad = tmp_path / "w.safetensors", tmp_path / "bad.safetensors"
     export_weights(folder / "checkpoint", file)
-    for call in (dce_code, load_network):
+    for call in (read_card, load_network):
         refused(lambda call=call: call(tmp_path / "none"), "none: cannot be read as weights")
     save_file({"a": torch.ones(1)}, bad)
     refused(lambda: load_network(bad), f"bad.safetensors: is no {SCHEMA} file, its header has nothing")
     for card in (json.dumps({"bits": "10"}), "[" * 100_000, "9" * 5000):
         save_file(load_file(file), bad, {SCHEMA: card})
-        refused(lambda: dce_code(bad), "bad.safetensors: its header is not whole")
+        refused(lambda: read_card(bad), "bad.safetensors: its header is not whole")
     tensors = load_file(file)
     tensors.pop("stem.bias")
     card = json.dumps({"bits": "10", "settings": {"start": "10"}, "steps": 1, "seconds": 1, "notes": {}})

@@ -25,7 +25,7 @@ SIGMA_MAX = 0.02
 
 @dataclass(frozen=True)
 class Batch:
-    """What an update learns from.
+    """Samples of one update.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Batch:
 
 
 def motion_mix(gyro: Path | None) -> MotionMix:
-    """Say which motions a code is learned for: half of them random walks as the MoTDiff paper's, also shorter ones.
+    """Motions of the training: half of them random walks as in the MoTDiff paper, at full length and shorter.
 
     Parameters
     ----------

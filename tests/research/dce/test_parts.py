@@ -7,16 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from cep.codes.dce.binarise import binarise, code_of, weights_of
-from cep.codes.dce.coding import coded_photos
-from cep.codes.dce.losses import charbonnier, edge_loss, restoration_loss, spectral_loss
-from cep.codes.dce.network import RestorationNetwork
-from cep.codes.dce.samples import Batch
-from cep.codes.dce.training import photos_of
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_psfs, coded_psf
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
+from research.dce.binarise import binarise, code_of, weights_of
+from research.dce.coded_photos import coded_photos
+from research.dce.losses import charbonnier, edge_loss, restoration_loss, spectral_loss
+from research.dce.network import RestorationNetwork
+from research.dce.samples import Batch
+from research.dce.training import photos_of
 
 BENT = Trajectory.from_samples([[0, 0], [3, 1], [5, 3], [6, 6]])
 WEIGHTS = hnp.arrays(np.float64, st.integers(1, 12), elements=st.floats(-2, 3))

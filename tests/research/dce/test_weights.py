@@ -1,16 +1,13 @@
-"""The weights in the package: small, honest about themselves, and better than doing nothing."""
-
-import sys
+"""The trained weights: small, described by their card, and better than doing nothing."""
 
 import numpy as np
 import pytest
 
-from cep.codes.dce import SHIPPED, dce_code, restore
-from cep.codes.dce.card import read_card
-from cep.codes.published import published
+from cep.codes.published import DCE_CODE, published
 from cep.optics.exposure import coded_psf
 from motdiff.motions import boracchi_foi, random_straight
 from motdiff.simulate import add_noise, blur_valid, to_linear, valid_window
+from research.dce.weights import WEIGHTS, read_card, restore
 
 
 @pytest.fixture(scope="module")
@@ -25,13 +22,13 @@ def mean_square(image, sharp):
 
 
 def test_they_are_small_and_say_what_they_are():
-    assert SHIPPED.stat().st_size <= 5 * 2**20
-    card = read_card(SHIPPED)
-    assert card.code == dce_code()
+    assert WEIGHTS.stat().st_size <= 5 * 2**20
+    card = read_card(WEIGHTS)
+    assert card.code == DCE_CODE
     assert card.start == published("merl-32-t64").code
     assert card.steps > 0
     assert {"photos", "motions", "evaluation"} <= set(card.notes)
-    readme = SHIPPED.with_name("README.md").read_text(encoding="utf-8")
+    readme = WEIGHTS.with_name("README.md").read_text(encoding="utf-8")
     assert card.code.bits in readme
     assert f"{card.steps:,}" in readme
 
@@ -39,7 +36,7 @@ def test_they_are_small_and_say_what_they_are():
 def test_they_restore_photos_better_than_doing_nothing(scene):
     """Over eight motions together, and on none of them much worse."""
     rng = np.random.default_rng(5)
-    code, gains = dce_code(), []
+    code, gains = DCE_CODE, []
     for number in range(8):
         motion = random_straight(rng, max_length_px=30) if number % 2 else boracchi_foi(rng, max_length_px=30)
         photo = add_noise(blur_valid(scene, coded_psf(motion, code, 64)), rng, read_sigma=0.01)
@@ -50,16 +47,8 @@ def test_they_restore_photos_better_than_doing_nothing(scene):
 
 
 def test_an_even_photo_stays_as_bright_as_it_was():
-    flat = np.full((64, 64, 3), 0.4 * dce_code().duty)
+    flat = np.full((64, 64, 3), 0.4 * DCE_CODE.duty)
     np.testing.assert_allclose(restore(flat)[16:-16, 16:-16], 0.4, atol=0.03)
-
-
-def test_the_code_is_read_without_torch():
-    import subprocess
-
-    ask = "import sys; from cep.codes.dce import dce_code; print(dce_code().chips, 'torch' in sys.modules)"
-    found = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
-    assert found.stdout.split() == [str(dce_code().chips), "False"]
 
 
 def test_a_photo_that_is_none_is_refused():

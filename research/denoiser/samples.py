@@ -1,4 +1,4 @@
-"""What the denoiser learns from: crops of sharp photos in linear light, with white noise of any level added."""
+"""Training samples of the denoiser: crops of sharp photos in linear light, with white noise of random level."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ SIGMAS = (1e-3, 0.3)
 """Least and largest standard deviation of the noise, full scale 1; log-evenly spread between."""
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
-_DECODED = 0.7  # share of the samples that are light; of the others code values are taken for it
+_DECODED = 0.7  # share of the samples that are decoded to light; the others are code values, read as light
 _DISPLAY_GAMMA = 2.2
 _LEAST_GAIN = 0.3
 
 
 @dataclass(frozen=True)
 class Batch:
-    """What an update learns from: ``clean`` and ``noisy`` (B, 1, H, W), ``sigma`` (B,), all float32."""
+    """Samples of one update: ``clean`` and ``noisy`` (B, 1, H, W), ``sigma`` (B,), all float32."""
 
     clean: Tensor
     noisy: Tensor

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from cep.restoration.denoiser.network import DenoisingNetwork
-from cep.restoration.denoiser.samples import Batch, draw
 from cep.restoration.denoiser.weights import write_weights
+from research.denoiser.samples import Batch, draw
 
 __all__ = ["Settings", "Trainer", "train"]
 
@@ -34,7 +34,7 @@ class Settings:
 
 
 class Trainer:
-    """Network, its optimiser, and the running average of its weights, which is what is kept.
+    """Network, its optimiser, and the running average of its weights, which is exported.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Trainer:
     def update(self, batch: Batch, *, progress: float) -> float:
         """Make one update at a share ``progress`` of the run, 0..1; returns the loss.
 
-        The loss is the mean error over the square root of the noise level: photos at any level count about alike.
+        The loss is the mean error over the square root of the noise level: all levels have about the same weight.
 
         Raises
         ------
@@ -82,7 +82,8 @@ class Trainer:
 
 def train(
     photos: Sequence[Tensor], target: Path | str, *, minutes: float, settings: Settings = Settings(),
-    save_s: float = 60.0, clock: Callable[[], float] = time.monotonic, say: Callable[[str], None] = lambda _line: None,
+    save_s: float = 60.0, clock: Callable[[], float] = time.monotonic,
+    report: Callable[[str], None] = lambda _line: None,
 ) -> int:  # fmt: skip
     """Train for so many minutes; returns the number of updates.
 
@@ -98,8 +99,8 @@ def train(
         Seconds between files.
     clock : callable
         Seconds.
-    say : callable
-        Is told a line at every file.
+    report : callable
+        Called with a line of progress at every file.
 
     Raises
     ------
@@ -117,6 +118,6 @@ def train(
         if now - saved >= save_s or now - began >= 60 * minutes:
             about = {"steps": trainer.step, "seconds": round(now - began), "settings": asdict(settings)}
             write_weights(trainer.average, target, about=about)
-            say(f"{trainer.step} updates, {now - began:.0f} s, loss {loss:.4f}")
+            report(f"{trainer.step} updates, {now - began:.0f} s, loss {loss:.4f}")
             saved = now
     return trainer.step

@@ -1,4 +1,4 @@
-"""Command line of the denoiser's training: ``python -m cep.restoration.denoiser``."""
+"""Command line of the denoiser's training: ``python -m research.denoiser``."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from research.command_line import run_command
+
 _EXAMPLES = """the shipped weights:
-  OMP_NUM_THREADS=1 python -m cep.restoration.denoiser train PHOTOS --minutes 21 -o denoiser.safetensors
-  python -m cep.restoration.denoiser evaluate OTHER_PHOTOS
+  OMP_NUM_THREADS=1 python -m research.denoiser train PHOTOS --minutes 21 -o denoiser.safetensors
+  python -m research.denoiser evaluate OTHER_PHOTOS
 """
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code: 0 done, 2 input that can be mended, 1 a failure, 130 Ctrl-C."""
+    """Run a command; returns its exit code (:func:`research.command_line.run_command`)."""
     parser = argparse.ArgumentParser(
-        prog="python -m cep.restoration.denoiser",
+        prog="python -m research.denoiser",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -31,41 +33,26 @@ def run(arguments: Sequence[str] | None = None) -> int:
     evaluate.add_argument("photos", type=Path, help="folder of sharp photos that no training has seen")
     evaluate.add_argument("--weights", type=Path, help="the shipped ones when omitted")
     evaluate.set_defaults(command=_evaluate)
-    given = parser.parse_args(arguments)
-    try:
-        given.command(given)
-    except (ValueError, FileNotFoundError, NotADirectoryError) as error:
-        return _told(error, 2)
-    except (OSError, FloatingPointError) as error:
-        return _told(error, 1)
-    except KeyboardInterrupt:
-        return _told("stopped", 130)
-    return 0
+    return run_command(parser, arguments)
 
 
 def _train(given: argparse.Namespace) -> None:
-    from cep.restoration.denoiser.training import Settings, train
     from motdiff.training.photos import load_photos
+    from research.denoiser.training import Settings, train
 
     settings = Settings(seed=given.seed)
     photos = load_photos(given.photos, least_px=settings.crop_px)
-    train(photos, given.out, minutes=given.minutes, settings=settings, say=lambda line: print(line, file=sys.stderr))  # noqa: T201
+    train(photos, given.out, minutes=given.minutes, settings=settings, report=lambda line: print(line, file=sys.stderr))
 
 
 def _evaluate(given: argparse.Namespace) -> None:
-    from cep.restoration.denoiser.evaluation import denoising_gains
     from cep.restoration.denoiser.weights import SHIPPED, load_denoiser
     from motdiff.training.photos import load_photos
+    from research.denoiser.evaluation import denoising_gains
 
     denoise = load_denoiser(given.weights or SHIPPED)
     for sigma, before, after in denoising_gains(load_photos(given.photos, least_px=64), denoise):
-        print(f"sigma {sigma:g}: {before:.2f} dB -> {after:.2f} dB")  # noqa: T201
-
-
-def _told(error: object, code: int) -> int:
-    line = (str(error) or type(error).__name__).splitlines()[0]
-    print(f"error: {line}", file=sys.stderr)  # noqa: T201
-    return code
+        print(f"sigma {sigma:g}: {before:.2f} dB -> {after:.2f} dB")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Command line of DCE's training: ``python -m cep.codes.dce``."""
+"""Command line of DCE's training: ``python -m research.dce``."""
 
 from __future__ import annotations
 
@@ -9,17 +9,19 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from research.command_line import run_command
+
 _EXAMPLES = """the shipped weights:
-  python -m cep.codes.dce train PHOTOS --gyro gyro.txt -o run
-  python -m cep.codes.dce export run -o dce.safetensors
-  python -m cep.codes.dce evaluate OTHER_PHOTOS --gyro gyro.txt --weights dce.safetensors
+  python -m research.dce train PHOTOS --gyro gyro.txt -o run
+  python -m research.dce export run -o dce.safetensors
+  python -m research.dce evaluate OTHER_PHOTOS --gyro gyro.txt --weights dce.safetensors
 """
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code: 0 done, 2 input that can be mended, 1 a failure, 130 Ctrl-C."""
+    """Run a command; returns its exit code (:func:`research.command_line.run_command`)."""
     parser = argparse.ArgumentParser(
-        prog="python -m cep.codes.dce", epilog=_EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m research.dce", epilog=_EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     train = commands.add_parser("train", help="train code and network, or go on training")
@@ -44,23 +46,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
     evaluate.add_argument("--sigma", type=float, default=0.01, help="noise, full scale 1")
     evaluate.add_argument("--seed", type=int, default=0)
     evaluate.set_defaults(command=_evaluate)
-    given = parser.parse_args(arguments)
-    try:
-        given.command(given)
-    except (ValueError, FileNotFoundError, NotADirectoryError) as error:
-        return _told(error, 2)
-    except (OSError, FloatingPointError) as error:
-        return _told(error, 1)
-    except KeyboardInterrupt:
-        return _told("stopped", 130)
-    return 0
+    return run_command(parser, arguments)
 
 
 def _train(given: argparse.Namespace) -> None:
-    from cep.codes.dce.samples import Samples, motion_mix
-    from cep.codes.dce.training import START, Settings, Trainer, train
     from motdiff.psf_frame import PSF_PX
     from motdiff.training.photos import load_photos
+    from research.dce.samples import Samples, motion_mix
+    from research.dce.training import START, Settings, Trainer, train
 
     settings = Settings(start=given.start or START, seed=given.seed)
     photos = load_photos(given.photos, least_px=settings.crop_px + PSF_PX - 1)
@@ -70,20 +63,20 @@ def _train(given: argparse.Namespace) -> None:
 
 
 def _export(given: argparse.Namespace) -> None:
-    from cep.codes.dce.weights import export_weights
     from motdiff.io.inputs import read_json
+    from research.dce.weights import export_weights
 
     notes = None if given.notes is None else read_json(given.notes)
     if not isinstance(notes, dict | None):
         raise ValueError(f"{given.notes}: must hold a JSON object")
     size = export_weights(given.run / "checkpoint", given.out, notes=notes)
-    print(f"{given.out}: {size / 2**20:.1f} MiB", file=sys.stderr)  # noqa: T201
+    print(f"{given.out}: {size / 2**20:.1f} MiB", file=sys.stderr)
 
 
 def _evaluate(given: argparse.Namespace) -> None:
-    from cep.codes.dce.evaluation import evaluate, scenes_of
-    from cep.codes.dce.samples import motion_mix
-    from cep.codes.dce.shipped import SHIPPED
+    from research.dce.evaluation import evaluate, scenes_of
+    from research.dce.samples import motion_mix
+    from research.dce.weights import WEIGHTS
 
     rows = evaluate(
         scenes_of(given.photos),
@@ -91,16 +84,10 @@ def _evaluate(given: argparse.Namespace) -> None:
         count=given.count,
         seed=given.seed,
         sigma=given.sigma,
-        weights=given.weights or SHIPPED,
+        weights=given.weights or WEIGHTS,
     )
     for row in rows:
-        print(json.dumps(asdict(row) | {"code": row.code.bits}))  # noqa: T201
-
-
-def _told(error: object, code: int) -> int:
-    line = (str(error) or type(error).__name__).splitlines()[0]
-    print(f"error: {line}", file=sys.stderr)  # noqa: T201
-    return code
+        print(json.dumps(asdict(row) | {"code": row.code.bits}))
 
 
 if __name__ == "__main__":

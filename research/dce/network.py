@@ -16,7 +16,7 @@ _SHUFFLE = 2  # the finest features are at half the resolution: four times as qu
 
 
 class RestorationNetwork(nn.Module):
-    """Restores coded photos without being told their motion.
+    """Restores coded photos of unknown motion.
 
     Parameters
     ----------

@@ -5,11 +5,7 @@ motion blur removal", Photonics Research 11(10), 1678, 2023.
 
 As there: photos are the mean over all frames, closed ones dark, plus Gaussian noise to 0.02; start code, losses and
 straight-through estimator; the code is held first. Otherwise here: motions shift a photo as a whole instead of being
-filmed; a frame is smeared over its chip; the network is a small U-Net instead of DeepRFT; it is given the photo over
-the code's duty; what is restored is the scene at the path's time-mean instead of the middle frame; and the network's
-last quarter of training is on the code as found.
+filmed; a frame is smeared over its chip; the network is a small U-Net instead of DeepRFT; its input is the photo over
+the code's duty; its target is the scene at the path's time-mean instead of the middle frame; and in the network's last
+quarter of training the code no longer changes.
 """
-
-from cep.codes.dce.shipped import SHIPPED, dce_code, restore
-
-__all__ = ["SHIPPED", "dce_code", "restore"]

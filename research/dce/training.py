@@ -12,14 +12,14 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from cep.codes.dce.binarise import binarise, code_of, weights_of
-from cep.codes.dce.coding import coded_photos
-from cep.codes.dce.losses import restoration_loss
-from cep.codes.dce.network import RestorationNetwork
-from cep.codes.dce.samples import Batch, Samples
 from cep.codes.published import published
 from cep.optics.code import ShutterCode
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from research.dce.binarise import binarise, code_of, weights_of
+from research.dce.coded_photos import coded_photos
+from research.dce.losses import restoration_loss
+from research.dce.network import RestorationNetwork
+from research.dce.samples import Batch, Samples
 
 __all__ = ["START", "Settings", "Trainer", "photos_of", "train"]
 
@@ -91,8 +91,8 @@ class Trainer:
     def update(self, batch: Batch, *, progress: float) -> float:
         """Make one update at a share ``progress`` of the run, 0..1; returns the loss.
 
-        The code is learned in the middle half of the run: before, the network knows too little to teach it; after, the
-        network settles on the code it will be used with.
+        The code is learned in the middle half of the run. Before, the untrained network gives no useful gradient;
+        after, the network is trained for the final code.
 
         Raises
         ------

@@ -1,0 +1,1 @@
+"""Trainings outside the installed packages: the learned code DCE, and the denoiser of plug-and-play restoration."""

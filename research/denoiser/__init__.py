@@ -1,0 +1,1 @@
+"""Training of the denoiser of plug-and-play restoration (:mod:`cep.restoration.denoiser`)."""
