@@ -15,6 +15,7 @@ __all__ = [
     "CROP_PX",
     "best_crops",
     "blur_differs_warning",
+    "check_size",
     "clipped_mask",
     "luminance",
     "pick_crops",
@@ -61,11 +62,23 @@ def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:
         As :func:`luminance`, or if a side is shorter than ``least_px`` or all pixels are the same.
     """
     grey = luminance(photo)
-    if min(grey.shape) < least_px:
-        raise ValueError(f"photo: needs at least {least_px} x {least_px} px, got {grey.shape[1]} x {grey.shape[0]}")
+    check_size(grey, least_px=least_px)
     if np.ptp(grey) == 0:
         raise ValueError("photo: is constant; motion shows only where the scene has texture")
     return grey
+
+
+def check_size(photo: ArrayLike, *, least_px: int) -> None:
+    """Refuse a photo (H, W) or (H, W, C) in which motion cannot be searched, however much it shows.
+
+    Raises
+    ------
+    ValueError
+        If a side is shorter than ``least_px``.
+    """
+    height, width = np.shape(photo)[:2]
+    if min(height, width) < least_px:
+        raise ValueError(f"photo: needs at least {least_px} x {least_px} px, got {width} x {height}")
 
 
 def clipped_mask(photo: ArrayLike, *, level: float = CLIPPED_LEVEL) -> NDArray[np.bool_]:

@@ -126,7 +126,7 @@ def calibrate(
     from cep.workflows.calibrate import (
         CALIBRATION_FILES,
         check_options,
-        check_texture,
+        check_photo,
         make_estimator,
         write_calibration,
     )
@@ -154,7 +154,7 @@ def calibrate(
     recording = None if gyro is None else read_gyro(gyro, rate_unit=cast(Any, gyro_unit))
     started = time.perf_counter()
     try:
-        check_texture(photo.pixels)  # before anything slow is loaded
+        check_photo(photo.pixels, method)  # before anything slow is loaded
         with progress(f"estimating the motion ({method})") as tick:
             estimator = make_estimator(
                 method,

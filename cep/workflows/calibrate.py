@@ -12,7 +12,8 @@ from cep.io.files import write_psf
 from cep.io.images import write_image
 from cep.io.outputs import new_folder
 from cep.plots import save, trajectory_figure
-from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.crops import check_size
+from motdiff.estimators.base import SMALLEST_PX, Estimator, MotionEstimate
 from motdiff.gyro import GyroTrace
 from motdiff.io.trajectories import StoredMotion, write_motion
 from motdiff.psf_frame import PSF_PX
@@ -22,6 +23,7 @@ __all__ = [
     "METHODS",
     "calibrate",
     "check_options",
+    "check_photo",
     "check_texture",
     "make_estimator",
     "write_calibration",
@@ -154,6 +156,24 @@ def calibrate(photo: ArrayLike, estimator: Estimator | None = None) -> MotionEst
     """
     check_texture(photo)
     return (estimator or make_estimator()).estimate(np.asarray(photo, dtype=np.float64))
+
+
+def check_photo(photo: ArrayLike, method: str) -> None:
+    """Refuse a photo that is too small for a method, or without texture, before anything slow is loaded.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    method : str
+        One of :data:`METHODS`.
+
+    Raises
+    ------
+    ValueError
+        If a side is too short, or the photo is constant, black or white.
+    """
+    check_size(photo, least_px=SMALLEST_PX.get(method, 1))
+    check_texture(photo)
 
 
 def check_texture(photo: ArrayLike) -> None:

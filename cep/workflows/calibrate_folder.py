@@ -16,7 +16,7 @@ from cep.io.files import plain
 from cep.io.images import PHOTO_SUFFIXES, read_image, read_photo
 from cep.jobs.cells import Figure
 from cep.jobs.fingerprint import source_version
-from cep.workflows.calibrate import check_texture, make_estimator
+from cep.workflows.calibrate import check_photo, make_estimator
 from motdiff.estimators.base import MotionEstimate
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
@@ -178,7 +178,7 @@ def estimate_photo(
         read = read_photo(photo, gamma=gamma)
         sharp_pixels = None if sharp is None else read_image(sharp, gamma=gamma, variable="x")
         began_s = time.perf_counter()
-        check_texture(read.pixels)
+        check_photo(read.pixels, method)
         # as many as there are workers run at once, and sums must not depend on how many do
         with one_thread() if method in _WITH_TORCH else nullcontext():
             estimator = make_estimator(method, samples=samples, quick=quick, seed=seed, sharp=sharp_pixels)

@@ -18,7 +18,7 @@ from cep.restoration import restore
 from cep.restoration.direction import DirectionResult, detect_direction
 from cep.search.annealing.anneal import SearchResult, anneal
 from cep.search.problem import SearchProblem, open_range_of_duty
-from cep.workflows.calibrate import calibrate, check_texture, make_estimator
+from cep.workflows.calibrate import calibrate, check_photo, make_estimator
 from cep.workflows.compare import BaselineRow, check_resolved, compare, expected_psnr_db
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
@@ -125,7 +125,8 @@ def run_chain(
     """
     clock = _Clock(tell)
     clock.begin(0.0, "estimating the motion")
-    check_texture(scene.photo)  # before anything slow is loaded
+    if estimator is None:
+        check_photo(scene.photo, "motdiff")  # before anything slow is loaded
     blind = estimator or make_estimator(progress=lambda share: tell(_BLIND_SHARE * share, "estimating the motion"))
     estimate = calibrate(scene.photo, blind)
     motion = estimate.trajectories[0]

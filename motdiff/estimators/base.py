@@ -8,9 +8,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
-__all__ = ["Estimator", "MotionEstimate"]
+__all__ = ["SMALLEST_PX", "Estimator", "MotionEstimate"]
+
+SMALLEST_PX = {"motdiff": PSF_PX, "pmp": 48}  # of the lag maps
+"""Least side of a photo that a blind method can search, px: known before the method is loaded."""
 
 
 @dataclass(frozen=True)

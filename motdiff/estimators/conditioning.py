@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motdiff.crops import best_crops, textured_luminance
-from motdiff.psf_frame import PSF_PX
+from motdiff.estimators.base import SMALLEST_PX
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -37,7 +37,7 @@ def looked_at(photo: ArrayLike) -> Tensor:
     from motdiff.estimators.motdiff.drawing import searched_quickly
     from motdiff.network.physics_maps import physics_maps
 
-    grey = textured_luminance(photo, least_px=PSF_PX)  # of the lag maps
+    grey = textured_luminance(photo, least_px=SMALLEST_PX["motdiff"])
     crops = best_crops(grey, count=_MOST_CROPS)
     told = searched_quickly(crops, sigma=noise_sigma(crops[0]))
     light, kernels = (torch.from_numpy(array.astype(np.float32))[None] for array in (crops, told))

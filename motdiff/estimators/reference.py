@@ -229,7 +229,10 @@ class _Photo:
     def of(cls, name: str, photo: ArrayLike) -> _Photo:
         light = crops.luminance(photo)
         if min(light.shape) < _LEAST_CROP_PX:
-            raise ValueError(f"{name}: {light.shape[1]} x {light.shape[0]} px is too small to compare")
+            raise ValueError(
+                f"{name}: {light.shape[1]} x {light.shape[0]} px is too small to compare, "
+                f"at least {_LEAST_CROP_PX} x {_LEAST_CROP_PX} px are needed"
+            )
         detail = high_passed(light, sigma_px=_HIGH_PASS_PX)
         if float(detail.std()) < 1e-6:
             raise ValueError(f"{name}: has no texture to compare (constant image?)")

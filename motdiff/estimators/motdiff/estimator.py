@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.base import SMALLEST_PX, MotionEstimate
 from motdiff.estimators.kernel_score import Judge, candidate_probabilities, noise_sigma
 from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
 from motdiff.estimators.multiscale import Found, estimate_blind
@@ -69,7 +69,7 @@ class MotDiffEstimator:
     """
 
     largest_px = _ODD_PX
-    smallest_px = PSF_PX  # of the lag maps
+    smallest_px = SMALLEST_PX["motdiff"]
 
     def __init__(
         self,

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.base import SMALLEST_PX, MotionEstimate
 from motdiff.estimators.kernel_score import noise_sigma, rank_kernels
 from motdiff.estimators.multiscale import Found, estimate_blind
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
@@ -77,7 +77,7 @@ class PmpEstimator:
     Wen et al., IEEE TCSVT 2021 (the prior).
     """
 
-    smallest_px = 48
+    smallest_px = SMALLEST_PX["pmp"]
 
     def __init__(
         self,

@@ -1,12 +1,15 @@
 """The choice of an estimator, and the files of a calibration."""
 
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from cep.io.files import read_psf
-from cep.io.images import read_image
+from cep.io.images import read_image, write_image
 from cep.workflows.calibrate import CALIBRATION_FILES, METHODS, calibrate, make_estimator, write_calibration
 from motdiff.estimators.base import MotionEstimate
 from motdiff.gyro import GyroTrace
@@ -188,11 +191,23 @@ def test_the_command_says_which_method_an_option_is_for(cep, workplace, options,
 
 
 def test_a_photo_without_texture_is_refused_before_the_network_is_loaded(cep, workplace, made):
-    from cep.io.images import write_image
-
     write_image("grey.png", np.full((80, 90), 0.5))
     assert "motion shows only where the scene has texture" in cep.refuses("calibrate", "grey.png")
     assert made == []
+
+
+@pytest.mark.parametrize(("method", "least_px"), [("motdiff", 64), ("pmp", 48)])
+def test_a_photo_that_is_too_small_is_refused_before_anything_slow_is_loaded(workplace, method, least_px):
+    write_image("small.png", np.random.default_rng(0).random((30, 35)))
+    script = (
+        "import sys; from cep.cli.main import main; code = main(sys.argv[1:]); "
+        "print(code, *{'torch', 'matplotlib', f'motdiff.estimators.{sys.argv[-1]}'} & {*sys.modules})"
+    )
+    command = [sys.executable, "-c", script, "calibrate", "small.png", "--method", method]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert ran.stderr == f"cep: small.png: photo: needs at least {least_px} x {least_px} px, got 35 x 30\n"
+    assert ran.stdout == "2\n"
+    assert not Path("small_motion").exists()
 
 
 def test_the_command_runs_a_network(cep, workplace, small_weights, monkeypatch):

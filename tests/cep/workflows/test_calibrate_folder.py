@@ -123,6 +123,22 @@ def test_photos_that_fail_are_told_by_name_and_the_others_kept(cep, shots, guess
     assert guesses.calls == calls  # a photo of the same content as another is estimated already
 
 
+def test_a_photo_that_is_too_small_fails_before_an_estimator_is_made(cep, shots, guesses, monkeypatch):
+    made = []
+
+    def make(progress):
+        made.append(progress)
+        return guesses(None)
+
+    monkeypatch.setattr("motdiff.estimators.pmp.PmpEstimator", make)
+    write_image("shots/small.png", np.random.default_rng(0).random((30, 90)))
+    cep("calibrate", "shots", "--method", "pmp", "--workers", "1", "--json")
+    assert cep.code == FAILURE
+    assert cep.json["failures"] == {"small.png": "photo: needs at least 48 x 48 px, got 90 x 30"}
+    assert list(cep.json["photos"]) == list(MOTIONS)
+    assert len(made) == len(MOTIONS)
+
+
 def test_of_a_photo_that_fails_now_nothing_older_stays(cep, shots, guesses):
     whole = Path("shots/a.png").read_bytes()
     cep.succeeds(*REFERENCE)
