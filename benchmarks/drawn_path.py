@@ -1,0 +1,101 @@
+"""Paths that the network draws, followed as they are drawn or traced anew from the kernels that they become.
+
+    python benchmarks/drawn_path.py [--photos FOLDER] [--count 16] [--seed 0]
+
+For simulated photos with real borders and 1 % noise: the network's one-step map and dwell, told of the quick classical
+searches. "kernel": the drawn PSF is traced. "map": the map is traced and given the drawn PSF's dwell. "refined kernel"
+and "refined map": the same with the PSF refined on the photo, which is what ``cep calibrate`` does with the kernel.
+Figures: MNC of the trajectory's PSF, and the path's distance from the true one in order, px, the better way round.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import torch
+from _inputs import photos, smooth_trace
+
+from motdiff.estimators.kernel_score import Judge
+from motdiff.estimators.motdiff.drawing import searched_quickly
+from motdiff.estimators.pmp.estimator import refined
+from motdiff.metrics import mnc_subpixel, ordered_distance_px
+from motdiff.motions import boracchi_foi, random_gyro_motion
+from motdiff.network.diffusion import cosine_schedule
+from motdiff.network.physics_maps import physics_maps
+from motdiff.network.sampling import sample_paths
+from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
+from motdiff.simulate import photograph
+from motdiff.tracing import fit_dwell, trace_map, trace_psf_to_trajectory
+from motdiff.trajectory import Trajectory
+from motdiff.weights import load_network
+
+SIDE_PX = 256 + PSF_PX - 1
+WAYS = ("kernel", "map", "refined kernel", "refined map")
+
+
+def motions(rng: np.random.Generator) -> dict[str, Trajectory]:
+    trace = smooth_trace(rng, duration_s=30.0, rate_hz=200.0)
+    return {
+        "walk of 60 px": boracchi_foi(rng),
+        "walk of 20 px": boracchi_foi(rng, max_length_px=20.0),
+        "shake": random_gyro_motion(trace, rng, exposure_s=float(rng.uniform(0.05, 0.3)), extent_px=20.0),
+    }
+
+
+def trajectories(network: torch.nn.Module, photo: np.ndarray, seed: int) -> dict[str, Trajectory]:
+    crops = photo[None]
+    sigma = Judge(crops).sigma
+    light = torch.from_numpy(crops.astype(np.float32))[None]
+    searched = searched_quickly(crops, sigma=sigma)
+    with torch.no_grad():
+        maps = physics_maps(light, torch.from_numpy(searched.astype(np.float32))[None])
+        drawn = sample_paths(
+            network, network.condition(None, maps), count=1, schedule=cosine_schedule(), steps=1,
+            generator=torch.Generator().manual_seed(seed),
+        )  # fmt: skip
+    psf = drawn.psfs()[0, 0].double().numpy()
+    odd = without_faint_light(in_frame(psf[None], PSF_PX - 1), below=0.02)[0]
+    sharpened = refined(crops, odd / odd.sum(), sigma)
+    chances = drawn.path[0, 0].numpy()
+    path = trace_map(chances > min(0.5, 0.5 * float(chances.max())))  # a lost guess is sure of no pixel
+    return {
+        "kernel": trace_psf_to_trajectory(psf),
+        "map": fit_dwell(path, psf),
+        "refined kernel": trace_psf_to_trajectory(sharpened),
+        "refined map": fit_dwell(path, sharpened),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--photos", type=Path)
+    parser.add_argument("--count", type=int, default=16)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    scenes = [light for _, light in photos(given.photos) if min(light.shape[:2]) >= SIDE_PX]
+    network = load_network()
+    found: dict[str, dict[str, list[tuple[float, float]]]] = {}
+    for number in range(given.count):
+        rng = np.random.default_rng([given.seed, number])
+        scene = scenes[number % len(scenes)]
+        scene = scene.mean(axis=2) if scene.ndim == 3 else scene
+        top, left = (int(rng.integers(side - SIDE_PX + 1)) for side in scene.shape)
+        scene = scene[top : top + SIDE_PX, left : left + SIDE_PX]
+        for kind, truth in motions(rng).items():
+            photo = photograph(scene, truth.psf(), rng=rng)
+            for way, path in trajectories(network, photo, number).items():
+                psf = in_frame(path.psf(max(PSF_PX, path.frame_size())), PSF_PX)
+                figures = mnc_subpixel(psf, truth.psf()), ordered_distance_px(path.xy, truth.xy)
+                found.setdefault(kind, {}).setdefault(way, []).append(figures)
+    print("| motions | photos | MNC: " + " | ".join(WAYS) + " | in order, px: " + " | ".join(WAYS) + " |")
+    print("|---" * (2 + 2 * len(WAYS)) + "|")
+    for kind, by_way in found.items():
+        means = [np.mean([figures[k] for figures in by_way[way]]) for k in (0, 1) for way in WAYS]
+        medians = [f"{mean:.3f}" for mean in means]
+        print(f"| {kind} | {given.count} | " + " | ".join(medians) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
