@@ -19,6 +19,7 @@ from _inputs import photos, smooth_trace
 
 from motdiff.estimators.kernel_score import Judge
 from motdiff.estimators.motdiff.drawing import searched_quickly
+from motdiff.estimators.multiscale import without_faint_parts
 from motdiff.estimators.pmp.estimator import refined
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
 from motdiff.motions import boracchi_foi, random_gyro_motion
@@ -27,7 +28,7 @@ from motdiff.network.physics_maps import physics_maps
 from motdiff.network.sampling import sample_paths
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.simulate import photograph
-from motdiff.tracing import fit_dwell, trace_map, trace_psf_to_trajectory
+from motdiff.tracing import fit_dwell, simplest_trajectory, trace_map
 from motdiff.trajectory import Trajectory
 from motdiff.weights import load_network
 
@@ -61,9 +62,9 @@ def trajectories(network: torch.nn.Module, photo: np.ndarray, seed: int) -> dict
     chances = drawn.path[0, 0].numpy()
     path = trace_map(chances > min(0.5, 0.5 * float(chances.max())))  # a lost guess is sure of no pixel
     return {
-        "kernel": trace_psf_to_trajectory(psf),
+        "kernel": simplest_trajectory(without_faint_parts(psf)),
         "map": fit_dwell(path, psf),
-        "refined kernel": trace_psf_to_trajectory(sharpened),
+        "refined kernel": simplest_trajectory(without_faint_parts(sharpened)),
         "refined map": fit_dwell(path, sharpened),
     }
 

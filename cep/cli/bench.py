@@ -48,7 +48,7 @@ Methods = Annotated[
         "--methods",
         metavar="NAME,...",
         help="Estimators, as pmp,motdiff; all that take seconds when omitted. Others: selfdeblur (hours), "
-        "blinddps:FOLDER of weights, network:ddpm:1000.",
+        "blinddps:FOLDER of weights, network:ddpm:1000, module:name of an estimator of your own.",
     ),
 ]
 ProtocolName = Annotated[

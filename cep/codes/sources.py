@@ -8,8 +8,8 @@ from pathlib import Path
 
 from cep.codes.published import published
 from cep.io.files import StoredCode, read_code
-from cep.io.plugins import is_reference, load_object
 from cep.optics.code import ShutterCode
+from motdiff.io.plugins import is_reference, load_object
 
 __all__ = ["code_file", "code_label", "find_code", "load_code"]
 

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
 from cep.io.images import encode_image, write_image
-from cep.io.plugins import is_reference, load_object
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.direction import DirectionResult, detect_direction
@@ -23,6 +22,7 @@ from cep.restoration.pnp import pnp
 from cep.restoration.spectral import channels_first, trimmed_psf
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
+from motdiff.io.plugins import is_reference, load_object
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 

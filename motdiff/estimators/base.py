@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motdiff.io.plugins import load_object
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
-__all__ = ["SMALLEST_PX", "Estimator", "MotionEstimate"]
+__all__ = ["SMALLEST_PX", "Estimator", "MotionEstimate", "load_estimator"]
 
 SMALLEST_PX = {"motdiff": PSF_PX, "pmp": 48}  # of the lag maps
 """Least side of a photo that a blind method can search, px: known before the method is loaded."""
@@ -47,6 +48,11 @@ class MotionEstimate:
     warnings: tuple[str, ...] = ()
     details: dict[str, object] = field(default_factory=dict)
 
+    @property
+    def best(self) -> Trajectory:
+        """The likeliest trajectory."""
+        return self.trajectories[0]
+
     def __post_init__(self) -> None:
         if not self.trajectories or len(self.trajectories) != len(self.weights):
             raise ValueError("trajectories: need at least one, and as many weights")
@@ -56,9 +62,33 @@ class MotionEstimate:
             raise ValueError(f"confidence: must lie within 0..1, got {self.confidence}")
 
 
+@runtime_checkable
 class Estimator(Protocol):
     """Anything that turns a blurred photo into a motion estimate."""
 
     def estimate(self, photo: NDArray[np.float64]) -> MotionEstimate:
         """Estimate the motion from ``photo``, (H, W) or (H, W, 3) float, linear light 0..1."""
         ...
+
+
+def load_estimator(reference: str) -> Estimator:
+    """Return an estimator of the user's own.
+
+    Parameters
+    ----------
+    reference : str
+        ``module:name`` of an estimator, or of a class or function that makes one without arguments.
+
+    Raises
+    ------
+    ValueError
+        If there is no such object, or it is no estimator.
+    """
+    found = load_object(reference)
+    try:
+        made = found() if callable(found) and (isinstance(found, type) or not isinstance(found, Estimator)) else found
+    except TypeError as error:
+        raise ValueError(f"{reference}: cannot be made without arguments ({error})") from None
+    if not isinstance(made, Estimator):
+        raise ValueError(f"{reference}: has no method estimate(photo)")
+    return made

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
+from motdiff.io.plugins import is_reference
 
 __all__ = ["METHODS", "SLOW_METHODS", "NetworkAlone", "named_estimators"]
 
@@ -83,7 +84,8 @@ def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> di
 
     Parameters
     ----------
-    methods : sequence of names in :data:`METHODS`
+    methods : sequence of names in :data:`METHODS`, or of ``module:name``, see
+        :func:`motdiff.estimators.base.load_estimator`
     weights : sequence of files
         One estimator for each, named by the file's stem; none: the weights of the package.
 
@@ -98,14 +100,18 @@ def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> di
     FileNotFoundError
         If a file of weights is missing.
     """
-    if unknown := [name for name in methods if name.split(":")[0] not in METHODS]:
-        raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {unknown[0]!r}")
-    if weights and {name.split(":")[0] for name in methods} <= set(_FIXED):
+    own = [name for name in methods if name.split(":")[0] not in METHODS]
+    if unknown := [name for name in own if not is_reference(name)]:
+        raise ValueError(f"method: must be one of {', '.join(METHODS)}, or module:name, got {unknown[0]!r}")
+    if weights and {name.split(":")[0] for name in methods if name not in own} <= set(_FIXED):
         raise ValueError("weights: are for the methods motdiff and network, which were not asked for")
     if missing := [path for path in weights if not path.is_file()]:
         raise FileNotFoundError(f"{missing[0]}: no such file of weights")
     named: list[tuple[str, Estimator]] = []
     for method in dict.fromkeys(methods):
+        if method in own:
+            named.append((method, load_estimator(method)))
+            continue
         if method in _FIXED or method.split(":")[0] in ("psf-diffusion", *SLOW_METHODS):
             named.append((method, _fixed(method)))
             continue

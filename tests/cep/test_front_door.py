@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import cep as package
-from cep.io.plugins import load_object
+from motdiff.io.plugins import load_object
 from motdiff.simulate import blur_valid
 
 NAMES = sorted(set(package.__all__) - {"__version__"})

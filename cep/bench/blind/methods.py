@@ -7,7 +7,8 @@ from pathlib import Path
 
 from cep.bench.blind.work import CEILINGS, FLOORS
 from cep.jobs.fingerprint import source_version
-from motdiff.evaluation.methods import named_estimators
+from motdiff.evaluation.methods import METHODS, named_estimators
+from motdiff.io.plugins import is_reference
 from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS, PSF_WEIGHTS
 
 __all__ = ["OURS", "SMALL_BUDGETS", "UNUSUAL", "USUAL", "budget_warning", "chosen", "label_of", "version_of"]
@@ -99,13 +100,15 @@ def version_of(method: str) -> str:
     Parameters
     ----------
     method : str
-        An estimator, a floor or a ceiling.
+        An estimator, a floor or a ceiling. Of one of the user's own, the module that it names counts, and what of ours
+        that module imports.
     """
     followed, alone = ["motdiff.evaluation.measure"], list(_TAKING)
     if method in (*FLOORS, *CEILINGS):
         return source_version([*followed, "motdiff.evaluation.floors"], alone=alone)
     first = method.split(":")[0]
-    followed.append(_FOLLOWED.get(first, f"motdiff.estimators.{first}"))
+    own = first not in METHODS and is_reference(method)
+    followed.append(first if own else _FOLLOWED.get(first, f"motdiff.estimators.{first}"))
     weights = _weights(method)
     if folder := _folder(method):
         files = sorted(path for path in Path(folder).rglob("*") if path.is_file())

@@ -109,6 +109,29 @@ def test_a_real_estimator_from_photos_to_every_output(cep, studio):
     assert width > height  # two lines of four
 
 
+OWN = """
+from motdiff.estimators.base import MotionEstimate
+from motdiff.trajectory import Trajectory
+
+LENGTH_PX = {length}
+
+class Always:
+    def estimate(self, photo):
+        motion = Trajectory.straight(LENGTH_PX)
+        return MotionEstimate("always", (motion,), (1.0,), motion.psf(), 0.5)
+"""
+
+
+def test_an_estimator_of_ones_own_stands_in_the_table(cep, studio):
+    Path("own_blind.py").write_text(OWN.format(length=7.0))
+    command = ["bench", "blind", "--data", "photos", "--protocol", "tiny.toml", "--methods", "own_blind:Always"]
+    found = cep.succeeds(*command, "--workers", "2", "-o", "out")
+    assert found["tables"]["Blind, tiny, no noise"]["own_blind:Always"]["mnc_subpixel"]["n"] == 4
+    line = cep.refuses(*command[:-1], "own_blind:Nothing", "-o", "other")
+    assert "own_blind has no 'Nothing'" in line
+    assert "no method estimate" in cep.refuses(*command[:-1], "own_blind:LENGTH_PX", "-o", "other")
+
+
 def test_finished_cells_are_found_again_and_a_quick_run_is_a_part(cep, studio, guesses):
     first = cep.succeeds(*BLIND, "-o", "out", "--cache", "cells")
     assert guesses.calls == 4

@@ -19,7 +19,7 @@ def is_reference(text: str) -> bool:
 
 
 def load_object(reference: str) -> Any:
-    """Import an object by its reference; modules in the current folder are found too.
+    """Import an object by its reference; modules in the current folder are found too, from then on.
 
     Parameters
     ----------
@@ -43,15 +43,13 @@ def load_object(reference: str) -> Any:
         raise ValueError(f"{reference[:80]!r}: must be module:name, as mymodule:MyEstimator")
     module, _, name = reference.partition(":")
     here = str(Path.cwd())
-    sys.path.insert(0, here)
+    if here not in sys.path:  # it stays: what is made of the object may import more, or be sent to a worker
+        sys.path.append(here)
     try:
         found = import_module(module)
     except Exception as error:  # whatever the user's module raises
-        raise ValueError(
-            f"{reference}: importing {module} failed ({type(error).__name__}: {one_line(error)})"
-        ) from None
-    finally:
-        sys.path.remove(here)
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        raise ValueError(f"{reference}: importing {module} failed ({reason})") from None
     try:
         return getattr(found, name)
     except AttributeError:
