@@ -56,13 +56,14 @@ def optimize_frames(
     from cep.io.files import StoredCode, write_code
     from cep.io.outputs import claim, new_files
     from cep.search.annealing.joint import joint_figures
+    from cep.search.recipe import mean_length_px
     from cep.workflows.search_options import on_the_circle
     from hw.program import Program
 
     files = [output.with_name(f"{output.stem}_{number}{output.suffix}") for number in range(1, frames + 1)]
     claim(files, force=force)
     problem = task.problem
-    single, found, stopped = _search(task.searched, frames, how)
+    single, found, stopped = _search(task.searched, frames, how, length_px=mean_length_px(problem))
     codes = [replace(code, chip_ns=chip_ns) for code in found.codes]
     for code in codes:
         problems = profile.check(Program.from_bits(code.bits, chip_ns=chip_ns)) if profile else ()
@@ -125,22 +126,23 @@ def optimize_frames(
     finish(result, as_json=as_json, show=show)
 
 
-def _search(problem: SearchProblem, frames: int, how: Search) -> tuple[ShutterCode, FramesResult, Stopped]:
+def _search(
+    problem: SearchProblem, frames: int, how: Search, *, length_px: float
+) -> tuple[ShutterCode, FramesResult, Stopped]:
     """Search the best single code, then all frames' from it; and what ended them."""
     import numpy as np
 
-    from cep.codes.published import for_chips
-    from cep.search.annealing.anneal import anneal
     from cep.search.annealing.frames import anneal_frames
+    from cep.search.recipe import search_code
 
     moves, time_s = how.moves(problem), how.limit_s
     with progress("searching a single code") as tick:
-        single = anneal(
+        single = search_code(
             problem,
             rng=np.random.default_rng(how.seed),
             steps=moves,
             time_s=time_s / 2,
-            start=[entry.code for entry in for_chips(problem.chips)],
+            length_px=length_px,
             progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"),
         )
     with progress(f"searching {frames} codes") as tick:

@@ -145,8 +145,9 @@ def optimize(
 ) -> None:
     """Search the shutter code whose coded photo restores best along a motion; Ctrl-C keeps the best so far.
 
-    The code is compared with what would be used instead, its minimum is certified, and a bound says how far from the
-    best it can be at most. cep audit code.json checks the certificate again.
+    The code is compared with what would be used instead, and never loses to what of it keeps the limits, by the
+    objective. Its minimum is certified, and a bound says how far from the best it can be at most. cep audit code.json
+    checks the certificate again.
 
     Fields of --json that need a word:
 
@@ -155,6 +156,7 @@ def optimize(
     - gap: how far this code is from the bound, 0..1; in dB for the noise.
     - noise_gain_db: null above 100 dB, as of codes with a zero.
     - stopped: steps (all moves made), time, proven, complete (no other code keeps the limits), or interrupted (Ctrl-C).
+    - within_limits, of each of baselines: whether it keeps the limits; the search could not return the others.
     - proven: no code is better, over the whole unit circle; or, unless one straight motion is all there is, at the
       band's samples.
 
@@ -171,6 +173,7 @@ def optimize(
     from cep.io.files import StoredCode, write_code
     from cep.io.outputs import claim
     from cep.search.exhaustive.exact import codes_to_count
+    from cep.search.recipe import mean_length_px
     from cep.workflows.optimize import appraise, report, search
     from hw.device import load_profile
 
@@ -215,13 +218,18 @@ def optimize(
     claim([file], force=force, inputs=[] if trajectory is None else [trajectory])
     label = f"counting {codes_to_count(wanted.searched):.2g} codes" if method == "exact" else "searching"
     with progress(label) as tick:
-        found = search(wanted.searched, how, progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"))
+        found = search(
+            wanted.searched,
+            how,
+            length_px=mean_length_px(problem),
+            progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"),
+        )
     code = replace(found.code, chip_ns=chip_ns)
     if reason := unplayable(code.bits, profile, chip_ns):
         raise ValueError(reason)
     described = {**described, "steps": found.steps, "stopped": found.stopped, "proof": found.proof}
     write_code(file, StoredCode(code, problem=described))  # already: Ctrl-C from here on must not lose it
-    worth = appraise(problem, code, along=wanted.along, effort=how.effort, seed=seed, time_s=how.limit_s)
+    worth = appraise(problem, code, along=wanted.along, baselines=found.baselines, effort=how.effort)
     write_code(file, StoredCode(code, worth.ours.metrics.to_dict(), described, worth.certificate))
     told = report(found, worth)
     result = {
@@ -242,7 +250,7 @@ def optimize(
         lowest = "min_chip" if straight else "min_mtf"
         rows = [
             (
-                row.name,
+                row.label,
                 row.code.open_chips,
                 *(row.metrics.in_words(name) for name in (lowest, "noise_gain_db", "mse_db")),
             )

@@ -145,14 +145,15 @@ def _code(chain: Chain) -> Section:
     table = Table(
         ("code", "open chips", "light, %", "noise gain, dB", "DNF, dB", "flatness (variance)", "error, dB"),
         tuple(
-            (row.name, row.code.open_chips, 100 * row.code.duty, *(row.metrics.in_words(figure) for figure in figures))
+            (row.label, row.code.open_chips, 100 * row.code.duty, *(row.metrics.in_words(figure) for figure in figures))
             for row in chain.compared
         ),
         highlight=0,
         note="Along the estimated motion, the worse direction where it is unknown; light-true, so a darker code pays "
         "for the light it loses. Noise gain and DNF are those of the inverse filter, the error is "
         "the expected mean square error of the Wiener filter with this camera's noise; lower is better everywhere. The "
-        "best snapshot is the one exposure, of any length, with the least error; the length-only code was searched for "
+        "best snapshot is the one exposure, of any length, with the least error, the best strobe the periodic pulses; "
+        "codes outside the limits on light could not be chosen; the length-only code was searched for "
         "a straight motion as long as this one; the random code is the middle one of 15.",
     )
     strips = {row.name: row.code for row in chain.compared if row.name != "open shutter"}

@@ -41,6 +41,7 @@ def dnf_search(
     steps: int | None = 1_000_000,
     time_s: float = 60.0,
     open_range: tuple[int, int] | None = None,
+    threads: int | None = None,
     **limits: object,
 ) -> SearchResult:
     """Search the code as ours is searched, with the same budget, but knowing nothing of the motion but its length.
@@ -51,8 +52,8 @@ def dnf_search(
         Arc length of the path.
     chips : int
     rng : numpy Generator
-    steps, time_s
-        Budget, as :func:`cep.search.annealing.anneal.anneal` takes it.
+    steps, time_s, threads
+        As :func:`cep.search.annealing.anneal.anneal` takes them.
     open_range : (int, int), optional
         Fewest and most open chips; any number when omitted.
     **limits
@@ -68,7 +69,7 @@ def dnf_search(
     Agrawal and Raskar, "Optimal single image capture for motion deblurring", CVPR 2009.
     """
     problem = dnf_problem(length_px, chips, open_range=open_range, **limits)
-    return anneal(problem, rng=rng, steps=steps, time_s=time_s)
+    return anneal(problem, rng=rng, steps=steps, time_s=time_s, threads=threads)
 
 
 def dnf_code(length_px: float, chips: int, *, rng: np.random.Generator, **options: Any) -> ShutterCode:

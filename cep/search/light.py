@@ -1,6 +1,6 @@
 """Codes that gather light without a search of chips: the best snapshot, the best strobe, and random codes.
 
-They are judged by a problem's own objective, and need not keep its limits, but for the random ones.
+They are judged by a problem's own objective. The random ones keep its limits, the others where they are told to.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.optics.code import ShutterCode
+from cep.search.limits import Limits
 from cep.search.objective import Objective
+from cep.search.problem import SearchProblem
 
 __all__ = ["RandomCodes", "best_snapshot", "best_strobe", "random_codes"]
 
@@ -20,6 +22,8 @@ Codes = NDArray[np.int8]
 FloatArray = NDArray[np.float64]
 _LENGTHS, _STARTS = 32, 16  # snapshots looked at before the best one is moved chip by chip
 _PERIODS, _WIDTHS = 64, 32  # of strobes
+_PAIRS, _PERIODS_WITHIN = 256, 8  # of strobes within limits: widths with numbers of pulses, and periods of each
+_FIRSTS = 64  # and where chips are forced, where the first pulse begins
 _BATCH = 2**21  # numbers evaluated at once: 16 MB
 
 
@@ -63,20 +67,33 @@ def random_codes(objective: Objective, count: int, *, rng: np.random.Generator) 
     return RandomCodes(drawn[order], costs[order])
 
 
-def best_snapshot(objective: Objective) -> ShutterCode:
+def best_snapshot(objective: Objective, *, within_limits: bool = False) -> ShutterCode | None:
     """Find the best single open run, of any length and anywhere in the exposure.
 
     With the objective "mse" its length is the one of least noise for the problem's camera. Up to 32 lengths and 16
     starts are looked at, then the best of these is moved and stretched by single chips while that helps.
+
+    Parameters
+    ----------
+    objective : Objective
+    within_limits : bool
+        Whether it must keep the problem's limits.
+
+    Returns
+    -------
+    ShutterCode or None
+        None where no single run keeps the limits.
     """
     n = objective.problem.chips
+    fits = _fitting_runs(objective.problem.limits) if within_limits else _fitting_runs(Limits(n, (1, n)))
+    lengths = np.flatnonzero(fits.any(axis=1))
     runs = [
-        (int(start), int(start) + int(length))
-        for length in _spread(1, n, _LENGTHS)
-        for start in _spread(0, n - int(length), _STARTS)
+        (int(start), int(start + length))
+        for length in _some(lengths, _LENGTHS)
+        for start in _some(np.flatnonzero(fits[length]), _STARTS)
     ]
     chip = np.arange(n)
-    best, lowest = (0, n), np.inf
+    best, lowest = (0, 0), np.inf
     while runs:
         drawn = np.array([(chip >= first) & (chip < end) for first, end in runs], dtype=np.int8)
         costs = _costs(objective, drawn)
@@ -84,36 +101,82 @@ def best_snapshot(objective: Objective) -> ShutterCode:
             break
         best, lowest = runs[int(costs.argmin())], float(costs.min())
         near = [(best[0] + a, best[1] + b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
-        runs = [(first, end) for first, end in near if 0 <= first < end <= n]
-    return ShutterCode("0" * best[0] + "1" * (best[1] - best[0]) + "0" * (n - best[1]))
+        runs = [(first, end) for first, end in near if 0 <= first < end <= n and fits[end - first, first]]
+    return ShutterCode("0" * best[0] + "1" * (best[1] - best[0]) + "0" * (n - best[1])) if best[1] else None
 
 
-def best_strobe(objective: Objective) -> ShutterCode:
+def best_strobe(objective: Objective, *, within_limits: bool = False) -> ShutterCode | None:
     """Find the best periodic pulses: ``width`` chips open out of every ``period``, two pulses or more.
 
-    The first pulse begins with the exposure. Every period and width is tried, of long codes 64 periods and 32 widths
-    each. Along a uniform straight motion a periodic code has true zeros: "mse" alone is an objective for all motions.
+    The first pulse begins with the exposure and the last is cut off with it. Every period and width is tried, of long
+    codes 64 periods and 32 widths each. Along a uniform straight motion a periodic code has true zeros: "mse" alone is
+    an objective for all motions.
 
-    Raises
-    ------
-    ValueError
-        If a code of one or two chips is asked for: two pulses do not fit.
+    Parameters
+    ----------
+    objective : Objective
+    within_limits : bool
+        Whether it must keep the problem's limits. Then the pulses are whole, may be fewer than there is time for, and
+        where chips are forced may begin later.
+
+    Returns
+    -------
+    ShutterCode or None
+        None where two pulses do not fit, or no strobe that was tried keeps the limits.
     """
-    n = objective.problem.chips
-    if n < 3:
-        raise ValueError(f"chips: a strobe needs at least 3, got {n}")
-    chip = np.arange(n)
-    drawn = [
-        (chip % period) < width for period in _spread(2, n - 1, _PERIODS) for width in _spread(1, period - 1, _WIDTHS)
-    ]
-    codes = np.array(drawn, dtype=np.int8)
-    return ShutterCode.from_array(codes[int(_costs(objective, codes).argmin())])
+    problem = objective.problem
+    codes = _strobes_within(problem) if within_limits else _strobes(problem.chips)
+    return ShutterCode.from_array(codes[int(_costs(objective, codes).argmin())]) if len(codes) else None
 
 
-def _spread(first: int, last: int, most: int) -> NDArray[np.intp]:
-    """Whole numbers from ``first`` to ``last``: all, or ``most`` evenly spread."""
-    count = last - first + 1
-    return np.unique(np.linspace(first, last, min(count, most)).round().astype(np.intp))
+def _fitting_runs(limits: Limits) -> NDArray[np.bool_]:
+    """Whether a single run of each length may start at each chip, (n + 1, n + 1)."""
+    n = limits.chips
+    length, first = np.ogrid[: n + 1, : n + 1]
+    end = np.minimum(first + length, n)
+    longest = min(limits.open_range[1], limits.longest)
+    fits = (first + length <= n) & (length >= max(limits.open_range[0], limits.min_open, 1)) & (length <= longest)
+    closed, opened = (np.concatenate([[0], np.cumsum(~limits.may_be(bit))]) for bit in (1, 0))  # forced before a chip
+    fits &= (closed[end] == closed[first]) & (opened[end] - opened[first] == opened[-1])
+    return np.asarray(fits, dtype=np.bool_)
+
+
+def _strobes(chips: int) -> Codes:
+    chip = np.arange(chips)
+    return np.array(
+        [
+            (chip % period) < width
+            for period in _some(np.arange(2, chips), _PERIODS)
+            for width in _some(np.arange(1, period), _WIDTHS)
+        ],
+        dtype=np.int8,
+    )
+
+
+def _strobes_within(problem: SearchProblem) -> Codes:
+    """Strobes of whole pulses within the limits: some widths and numbers of pulses, and for each some periods."""
+    limits, n = problem.limits, problem.chips
+    low, high = limits.open_range
+    pairs = []
+    for width in range(limits.min_open, limits.longest + 1):
+        most = 1 + (n - width) // max(limits.min_period, width + limits.min_closed)
+        first, last = max(2, -(-low // width)), min(most, high // width, limits.max_pulses or most)
+        pairs += [(width, pulses) for pulses in range(first, last + 1)]
+    codes = []
+    for width, pulses in (pairs[index] for index in _some(np.arange(len(pairs)), _PAIRS)):
+        least, longest = max(limits.min_period, width + limits.min_closed), (n - width) // (pulses - 1)
+        for period in _some(np.arange(least, longest + 1), _PERIODS_WITHIN):
+            later = n - ((pulses - 1) * period + width) if limits.fixed is not None else 0
+            code = np.zeros(n, dtype=np.int8)
+            code[(np.arange(pulses)[:, None] * period + np.arange(width)).ravel()] = 1
+            codes += [np.roll(code, first) for first in _some(np.arange(later + 1), _FIRSTS)]
+    every = np.array(codes, dtype=np.int8).reshape(-1, n)
+    return every[problem.satisfied(every)]
+
+
+def _some(values: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Return all values, or ``most`` of them evenly spread."""
+    return values[np.unique(np.linspace(0, len(values) - 1, min(len(values), most)).round().astype(np.intp))]
 
 
 def _costs(objective: Objective, codes: Codes) -> FloatArray:

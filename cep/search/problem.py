@@ -200,6 +200,10 @@ class SearchProblem:
             ok &= ((marks == ord("?")) | (is_open == (marks == ord("1")))).all(axis=1)
         return np.asarray(ok, dtype=np.bool_)
 
+    def allows(self, code: ShutterCode) -> bool:
+        """Whether a code keeps every limit."""
+        return bool(self.satisfied(code.array[None].astype(np.int8))[0])
+
     def random_codes(self, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
         """Draw ``count`` codes within the limits, all equally likely, (count, n) of 0 and 1; see :func:`draw`."""
         return draw(self.limits, count, rng=rng)

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.codes.published import for_chips
 from cep.optics.band import stays_in_place, uniform_length_px
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.proofs.measure import CodeMetrics, measure, worst_of
-from cep.search.dnf import dnf_search
-from cep.search.light import best_snapshot, random_codes
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
+from cep.search.recipe import Baseline
 from hw.device import DeviceProfile
 from motdiff.trajectory import Trajectory
 
@@ -234,11 +232,6 @@ def _check_chip(profile: DeviceProfile, chip_ns: int) -> None:
     )
 
 
-_RANDOM_CODES = 15
-_LENGTH_ONLY_MOVES = 200_000
-_LENGTH_ONLY_S = 3.0  # it may take so long in any case: to 128 chips the moves are done by then, whatever the limit
-
-
 @dataclass(frozen=True)
 class BaselineRow:
     """A line of the comparison.
@@ -246,11 +239,13 @@ class BaselineRow:
     Attributes
     ----------
     name : str
-        "this code", "open shutter", "best snapshot", "published: NAME", "length-only code" or "random code, median".
+        "this code", or of a :class:`cep.search.recipe.Baseline`.
     code : ShutterCode
     metrics : CodeMetrics
         Worst over the problem's scenarios and directions. Only the first row's ``min_mtf_lower`` is worth anything:
         the others carry no certificate.
+    within_limits : bool
+        Whether the code keeps the problem's limits: others could not be returned, however good they are.
     stopped_early : bool
         Whether the time limit or Ctrl-C ended the search of this code: another run may give another.
     """
@@ -258,54 +253,43 @@ class BaselineRow:
     name: str
     code: ShutterCode
     metrics: CodeMetrics
+    within_limits: bool
     stopped_early: bool = False
+
+    @property
+    def label(self) -> str:
+        """The name, and whether the code breaks the limits, for tables."""
+        return self.name if self.within_limits else f"{self.name} (outside the limits)"
 
 
 def compare(
     problem: SearchProblem,
     code: ShutterCode,
     *,
-    rng: np.random.Generator,
+    baselines: Iterable[Baseline],
     metrics: CodeMetrics | None = None,
-    time_s: float = 60.0,
 ) -> tuple[BaselineRow, ...]:
     """Measure ``code``, and what would be used instead of it, on the same motions; first row the code itself.
 
     Parameters
     ----------
     problem : SearchProblem
-        The baselines need not keep its limits, but for the light of the length-only and the random ones.
     code : ShutterCode
-    rng : numpy Generator
+    baselines : iterable of Baseline
+        As the code's search returned them, or :func:`cep.search.recipe.baselines` for a code from elsewhere.
     metrics : CodeMetrics, optional
         The code's own, where they are known already.
-    time_s : float
-        Limit of the length-only code's search, seconds, as :func:`cep.search.annealing.anneal.anneal` takes it; at
-        least 3, so that codes of usual lengths do not depend on it.
-
-    Notes
-    -----
-    The snapshot is the run of open chips, anywhere in the exposure and of any length, that is best by the problem's
-    objective. The length-only code is searched as the DNF methods do: for a uniform straight motion of the path's
-    length, least noise. The random code is the middle one of 15 by the objective.
     """
-    objective = Objective(problem, oversampling=8)
-    others = {"open shutter": ShutterCode("1" * problem.chips), "best snapshot": best_snapshot(objective)}
-    others |= {f"published: {entry.name}": entry.code for entry in for_chips(problem.chips)}
-    lengths = [scenario.trajectory.length_px for scenario in problem.scenarios] or [float(problem.chips)]
-    length_only = dnf_search(
-        float(np.mean(lengths)), problem.chips, rng=rng, steps=_LENGTH_ONLY_MOVES, open_range=problem.open_limits,
-        time_s=max(time_s, _LENGTH_ONLY_S),
-    )  # fmt: skip
-    others["length-only code"] = length_only.code
-    stopped_early = {"length-only code"} if length_only.stopped in ("time", "interrupted") else set()
-    others["random code, median"] = random_codes(objective, _RANDOM_CODES, rng=rng).middle
     return (
-        BaselineRow("this code", code, metrics or problem.measure(code)),
+        BaselineRow("this code", code, metrics or problem.measure(code), problem.allows(code)),
         *(
             BaselineRow(
-                name, ShutterCode(other.bits, code.chip_ns), problem.measure(other, budget=0), name in stopped_early
+                one.name,
+                ShutterCode(one.code.bits, code.chip_ns),
+                problem.measure(one.code, budget=0),
+                one.within_limits,
+                one.stopped_early,
             )
-            for name, other in others.items()
+            for one in baselines
         ),
     )

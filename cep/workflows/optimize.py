@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,13 +18,12 @@ from motdiff.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from cep.jobs.cells import Figure
-    from cep.search.annealing.anneal import Stopped
+    from cep.search.recipe import Baseline, Found
     from cep.workflows.compare import BaselineRow
 
 __all__ = [
     "STANDARD_TIME_S",
     "Appraisal",
-    "Found",
     "Search",
     "appraise",
     "code_from_figures",
@@ -91,32 +90,6 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Found:
-    """What a search or a proof came to.
-
-    Attributes
-    ----------
-    code : ShutterCode
-    objective : float
-        Cost in dB, lower is better.
-    steps : int
-        Moves tried, or codes counted.
-    seconds : float
-    stopped : {"steps", "time", "interrupted", "complete", "proven"}
-        What ended it: all moves made, the time limit, Ctrl-C, that no other code keeps the limits, or a proof.
-    proof : dict or None
-        Log of the proof.
-    """
-
-    code: ShutterCode
-    objective: float
-    steps: int
-    seconds: float
-    stopped: Stopped | Literal["proven"]
-    proof: dict[str, Any] | None
-
-
-@dataclass(frozen=True)
 class Appraisal:
     """What a code is worth.
 
@@ -146,6 +119,7 @@ def search(
     problem: SearchProblem,
     how: Search,
     *,
+    length_px: float | None = None,
     threads: int | None = None,
     progress: Callable[[float, ShutterCode], None] | None = None,
 ) -> Found:
@@ -155,38 +129,63 @@ def search(
     ----------
     problem : SearchProblem
     how : Search
+    length_px : float, optional
+        Of the path, for the length-only code among the baselines; of the problem's when omitted.
     threads : int, optional
         As many as there are cores when omitted; the code does not depend on it.
     progress : callable, optional
         Called with the fraction done and the best code so far.
+
+    Returns
+    -------
+    Found
+        No baseline within the limits has a lower cost. Along a path a proof is over the band's samples, though: it
+        stands, whatever a baseline is worth between them.
 
     Raises
     ------
     ValueError
         If the problem is not one that the method solves.
     """
-    from cep.codes.published import for_chips
-    from cep.search.annealing.anneal import anneal
-    from cep.search.exhaustive.exact import codes_to_count, exact
+    from cep.search.recipe import search_code
 
     if how.method == "exact":
-        proven = exact(problem, threads=threads, progress=progress)
-        unit = 1 if problem.scenarios else problem.chips  # |P| counts chips, the objective is light-true
-        cost = -20 * float(np.log10(max(proven.minimum.upper / unit, 1e-300)))
-        counted = codes_to_count(problem)
-        stopped: Literal["proven", "interrupted"] = "proven" if proven.proven else "interrupted"
-        return Found(proven.code, cost, counted, proven.seconds, stopped, proven.proof.to_dict())
-    starts = _rounded(problem, how.seed) if how.effort == "sdp" else []
-    found = anneal(
+        return _proven(problem, how, length_px=length_px, threads=threads, progress=progress)
+    return search_code(
         problem,
         rng=np.random.default_rng(how.seed),
         steps=how.moves(problem),
         time_s=how.limit_s,
-        start=[*(entry.code for entry in for_chips(problem.chips)), *starts],
+        start=_rounded(problem, how.seed) if how.effort == "sdp" else (),
+        length_px=length_px,
         progress=progress,
         threads=threads,
     )
-    return Found(found.code, found.objective, found.steps, found.seconds, found.stopped, None)
+
+
+def _proven(
+    problem: SearchProblem,
+    how: Search,
+    *,
+    length_px: float | None,
+    threads: int | None,
+    progress: Callable[[float, ShutterCode], None] | None,
+) -> Found:
+    """Count all codes; where Ctrl-C stops that, a baseline may be the best yet."""
+    from cep.search.exhaustive.exact import codes_to_count, exact
+    from cep.search.recipe import Found, baselines_so_far, best_of, judge_of
+
+    proven = exact(problem, threads=threads, progress=progress)
+    judge = judge_of(problem)
+    rng = np.random.default_rng(how.seed)
+    known, _ = baselines_so_far(problem, judge, rng=rng, length_px=length_px, time_s=how.limit_s, threads=threads)
+    code, cost = proven.code, judge.exact_cost(proven.code)
+    if not proven.proven:
+        code, cost = best_of(code, cost, known)
+    return Found(
+        code, cost, codes_to_count(problem), proven.seconds, "proven" if proven.proven else "interrupted", known,
+        proven.proof.to_dict(),
+    )  # fmt: skip
 
 
 def appraise(
@@ -194,9 +193,8 @@ def appraise(
     code: ShutterCode,
     *,
     along: Trajectory | None,
+    baselines: Iterable[Baseline],
     effort: Literal["quick", "sdp"] = "quick",
-    seed: int = 0,
-    time_s: float = STANDARD_TIME_S,
 ) -> Appraisal:
     """Compare a code with what would be used instead, certify its minimum, and hold it against a bound.
 
@@ -207,14 +205,14 @@ def appraise(
     code : ShutterCode
     along : Trajectory or None
         What the certificate is for; None: the unit circle, where only the code's polynomial matters.
+    baselines : iterable of Baseline
+        What it is compared with: as its search returned them, or :func:`cep.search.recipe.baselines`.
     effort : {"quick", "sdp"}
-    seed, time_s : int, float
-        Of the random codes among the baselines, and limit of the search among them, seconds.
     """
     from cep.proofs.certify.certificate import certify
     from cep.workflows.compare import compare
 
-    ours, *others = compare(problem, code, rng=np.random.default_rng([seed, 1]), time_s=time_s)
+    ours, *others = compare(problem, code, baselines=baselines)
     certificate = certify(code, along).to_dict()
     return Appraisal(
         ours, tuple(others), certificate, *_bounded(problem, ours.metrics, straight=along is None, effort=effort)
@@ -241,7 +239,12 @@ def report(found: Found, appraisal: Appraisal) -> dict[str, Any]:
         "stopped": found.stopped,
         "interrupted": found.stopped == "interrupted",
         "baselines": {
-            row.name: {"bits": row.code.bits, "open": row.code.open_chips, "stopped_early": row.stopped_early}
+            row.name: {
+                "bits": row.code.bits,
+                "open": row.code.open_chips,
+                "within_limits": row.within_limits,
+                "stopped_early": row.stopped_early,
+            }
             | row.metrics.to_dict()
             for row in appraisal.others
         },
@@ -274,11 +277,13 @@ def optimize_motion(
     KeyboardInterrupt
         If Ctrl-C ended the search: half a search must not count as a finished one.
     """
-    found = search(searched, how, threads=1)
+    from cep.search.recipe import mean_length_px
+
+    found = search(searched, how, length_px=mean_length_px(problem), threads=1)
     if found.stopped == "interrupted":
         raise KeyboardInterrupt
     code = replace(found.code, chip_ns=chip_ns)
-    appraisal = appraise(problem, code, along=along, effort=how.effort, seed=how.seed, time_s=how.limit_s)
+    appraisal = appraise(problem, code, along=along, baselines=found.baselines, effort=how.effort)
     parts = {
         "report": report(found, appraisal),
         "metrics": appraisal.ours.metrics.to_dict(),

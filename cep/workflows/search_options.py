@@ -325,11 +325,12 @@ def warnings_of(task: Task, how: Search, *, stopped: str, baselines: Mapping[str
     if stopped == "time" and moves is not None:
         limit = "--time" if how.time_s is not None else f"the limit of {how.limit_s:g} s"
         told.append(f"{limit} ended the search before its {moves:,} moves: another run may give another code")
-    told += [
-        f"the search of the {name} was stopped early, by --time or Ctrl-C: another run may give another"
-        for name, figures in baselines.items()
-        if figures["stopped_early"]
-    ]
+    if stopped == "interrupted" or how.method == "exact" or moves is not None:  # with a time alone every run differs
+        told += [
+            f"the search of the {name} was stopped early, by --time or Ctrl-C: another run may give another"
+            for name, figures in baselines.items()
+            if figures["stopped_early"]
+        ]
     if problem.response is not None or len(problem.scenarios) > 1 or problem.scenarios[0].edges is not None:
         told.append("the certificate is for a shutter that opens at once and on time, along the motion as it was given")
     return told

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cep.codes.published import DCE_CODE, for_chips, published
+from cep.codes.published import DCE_CODE, published
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.search.annealing.anneal import anneal
 from cep.search.dnf import dnf_problem
 from cep.search.light import best_snapshot, best_strobe, random_codes
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
+from cep.search.recipe import search_code
 from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
@@ -110,20 +110,18 @@ def designed(
     if design not in DESIGNS:
         raise ValueError(f"design: must be one of {', '.join(DESIGNS)}, got {design!r}")
     problem = _problem(design, known, chips=chips, open_range=open_range, objective=objective, camera=camera)
-    if design == "snapshot":
-        return best_snapshot(Objective(problem, oversampling=8))
-    if design == "strobe":
-        return best_strobe(Objective(problem, oversampling=8))
+    if design in ("snapshot", "strobe"):
+        best = (best_snapshot if design == "snapshot" else best_strobe)(Objective(problem, oversampling=8))
+        if best is None:
+            raise ValueError(f"chips: a strobe needs at least 3, got {chips}")
+        return best
     if design == "random":
         return random_codes(Objective(problem, oversampling=8), _RANDOM_CODES, rng=rng).middle
     return _searched(problem, steps=steps, rng=rng)
 
 
 def _searched(problem: SearchProblem, *, steps: int, rng: np.random.Generator) -> ShutterCode:
-    coarse = Objective(problem, oversampling=8)
-    start = [best_snapshot(coarse), best_strobe(coarse), *(entry.code for entry in for_chips(problem.chips))]
-    # other cells run beside
-    found = anneal(problem, rng=rng, steps=steps, time_s=math.inf, threads=1, start=start)
+    found = search_code(problem, rng=rng, steps=steps, time_s=math.inf, threads=1)  # other cells run beside
     if found.stopped == "interrupted":
         raise KeyboardInterrupt  # the best so far has not had the others' budget, and a cell is kept
     return found.code

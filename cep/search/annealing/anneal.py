@@ -108,6 +108,7 @@ def anneal(
     start: Iterable[ShutterCode] = (),
     progress: Progress | None = None,
     threads: int | None = None,
+    judge: Objective | None = None,
 ) -> SearchResult:
     """Search a code; anytime: a limit or Ctrl-C returns the best so far.
 
@@ -128,6 +129,8 @@ def anneal(
         Called now and then with the fraction done, 0..1, and the best code so far. It may raise KeyboardInterrupt.
     threads : int, optional
         As many as there are cores when omitted; the outcome does not depend on it.
+    judge : Objective, optional
+        The problem's on 64 samples per 1 / extent in float64, where it has been made already.
 
     Raises
     ------
@@ -171,9 +174,9 @@ def anneal(
         if progress is not None:
             progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece.done, piece.code)
 
-    best = elites.best()
-    found = Polished(best, Objective(problem, oversampling=64, dtype=np.float64).exact_cost(best), 0.0)
-    found, stopped = budget.polished(found, polish(problem, elites.ranked()), told, stopped=stopped)
+    best, fine = elites.best(), judge or Objective(problem, oversampling=64, dtype=np.float64)
+    found = Polished(best, fine.exact_cost(best), 0.0)
+    found, stopped = budget.polished(found, polish(fine, elites.ranked()), told, stopped=stopped)
     metrics = problem.measure(found.code)
     return SearchResult(found.code, found.cost, metrics, budget.elapsed(), budget.done, stopped)
 
@@ -226,8 +229,8 @@ def _plans(
     return [*chains, *(Walks(best[:_POOL], moves, seed) for seed in seeds[cooled:])]
 
 
-Stopped = Literal["steps", "time", "interrupted", "complete"]
-"""What ended a search: all its moves made, the time limit, Ctrl-C, or that no other code keeps the limits."""
+Stopped = Literal["steps", "time", "interrupted", "complete", "proven"]
+"""What ended a search: all its moves made, the time limit, Ctrl-C, that no other code keeps the limits, or a proof."""
 
 _Piece = TypeVar("_Piece")
 CHAINS = 8  # of a round: enough for most machines' cores, and the outcome must not depend on their number

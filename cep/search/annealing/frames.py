@@ -113,7 +113,8 @@ def anneal_frames(
         raise ValueError(f"start: every one must be {frames} codes of {problem.chips} chips")
     elites = _Elites(Objective(problem, oversampling=_OVERSAMPLING))
     seeds = np.array([*given, problem.random_codes(frames, rng=rng)], dtype=np.int8)
-    elites.offer(seeds[[bool(problem.satisfied(codes).all()) for codes in seeds]])
+    seeds = seeds[[bool(problem.satisfied(codes).all()) for codes in seeds]]
+    elites.offer(seeds)
     free = problem.free_chips
     stopped: Stopped = "complete"
 
@@ -128,7 +129,7 @@ def anneal_frames(
             stopped = budget.stopped()
     except KeyboardInterrupt:
         stopped = "interrupted"
-    ranked = elites.ranked(frames)
+    ranked = np.concatenate([elites.ranked(frames), seeds])  # no start may beat what is returned on the fine grid
 
     def told(piece: tuple[NDArray[np.int8], float], over: bool) -> None:
         if progress is not None:

@@ -43,16 +43,15 @@ class Polished(NamedTuple):
     done: float
 
 
-def polish(problem: SearchProblem, ranked: Codes) -> Iterator[Polished]:
-    """Judge (R, n) codes, best first, on the continuum, and climb from the leaders.
+def polish(fine: Objective, ranked: Codes) -> Iterator[Polished]:
+    """Judge (R, n) codes, best first, on the continuum by the finest samples, and climb from the leaders.
 
     Yields
     ------
     Polished
         After every piece of work, so that the caller may stop; the last one is the outcome.
     """
-    fine = Objective(problem, oversampling=64, dtype=np.float64)
-    curved = any(straight_axis(s.trajectory) is None for s in problem.scenarios)
+    curved = any(straight_axis(s.trajectory) is None for s in fine.problem.scenarios)
     judged, climbed = (4, 1) if curved else (len(ranked), 6)
     leaders: list[tuple[float, str, ShutterCode]] = []
     for code in (ShutterCode.from_array(array) for array in ranked[:judged]):
@@ -60,20 +59,18 @@ def polish(problem: SearchProblem, ranked: Codes) -> Iterator[Polished]:
         yield Polished(leaders[0][2], leaders[0][0], 0.0)
     best, best_cost = leaders[0][2], leaders[0][0]
     for number, (start_cost, _, start) in enumerate(leaders):
-        for cost, code in _climb(problem, fine, start, start_cost):
+        for cost, code in _climb(fine, start, start_cost):
             if cost < best_cost:
                 best, best_cost = code, cost
             yield Polished(best, best_cost, number / len(leaders))
 
 
-def _climb(
-    problem: SearchProblem, fine: Objective, code: ShutterCode, cost: float
-) -> Iterator[tuple[float, ShutterCode]]:
+def _climb(fine: Objective, code: ShutterCode, cost: float) -> Iterator[tuple[float, ShutterCode]]:
     """Go to the best neighbour until none is better; where it stands, after every piece of work."""
     swaps = code.chips**2 // 4 * fine.rows[0].size * code.chips <= _MOST_WORK
     while True:
         bits = code.array.astype(np.int8)
-        codes, below = neighbours(problem, bits, swaps=swaps), cost - 1e-9
+        codes, below = neighbours(fine.problem, bits, swaps=swaps), cost - 1e-9
         hopeful: NDArray[np.intp] = np.empty(0, np.intp)
         # a minimum over the continuum is never above the sampled one: only these can win
         for found_yet in cheapest(fine, bits, codes, most=_HOPEFUL, below=below):

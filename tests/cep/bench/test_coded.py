@@ -13,7 +13,7 @@ import pytest
 from scipy import ndimage
 from skimage import data
 
-from cep.bench.coded import designs, protocol
+from cep.bench.coded import protocol
 from cep.bench.coded.designs import DESIGNS, Known, designed
 from cep.bench.coded.protocol import CodedProtocol, coded_protocol, drawn_motions, paths_from, paths_to
 from cep.bench.coded.report import OUTPUTS, write_coded_report
@@ -26,6 +26,7 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import measure
 from cep.restoration.wiener import wiener
+from cep.search import recipe
 from motdiff.estimators.base import MotionEstimate
 from motdiff.motions import boracchi_foi
 from motdiff.psf_frame import PSF_PX
@@ -422,13 +423,13 @@ def test_each_design_minimises_what_it_should():
 
 
 def test_searches_use_one_thread_and_the_same_budget(monkeypatch):
-    real, seen = designs.anneal, []
+    real, seen = recipe.anneal, []
 
     def watched(problem, **options):
         seen.append(options)
         return real(problem, **options)
 
-    monkeypatch.setattr(designs, "anneal", watched)
+    monkeypatch.setattr(recipe, "anneal", watched)
     for design in ("dnf", "oracle", "posterior"):
         chosen(design)
     assert [(options["threads"], options["steps"]) for options in seen] == [(1, 800)] * 3
@@ -437,12 +438,12 @@ def test_searches_use_one_thread_and_the_same_budget(monkeypatch):
 @pytest.mark.parametrize("design", ["dnf", "oracle"])
 def test_an_interrupted_search_is_not_taken_for_a_finished_one(monkeypatch, design):
     """The search itself returns its best so far after Ctrl-C; kept as a cell it would stand for the whole budget."""
-    real = designs.anneal
+    real = recipe.anneal
 
     def stop(_fraction, _best):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(designs, "anneal", lambda problem, **options: real(problem, progress=stop, **options))
+    monkeypatch.setattr(recipe, "anneal", lambda problem, **options: real(problem, progress=stop, **options))
     with pytest.raises(KeyboardInterrupt):
         chosen(design, steps=10**6)
 

@@ -167,10 +167,10 @@ def test_nothing_to_choose_takes_no_time(cep, workplace):
 
 
 def test_starts_from_the_relaxation(cep, workplace):
-    """One move leaves the search no better than its starts: those drawn from the relaxation win over random ones."""
+    """One move leaves the search no better than its starts: those drawn from the relaxation win over the others."""
     x = 9 * np.linspace(0, 1, 12) ** 2
     write_motion("faster.json", StoredMotion(Trajectory.from_samples(np.stack([x, 0.5 * x], 1))))
-    options = ("optimize", "--trajectory", "faster.json", "--direction", "forward", "--chips", "30", "--open", "15")
+    options = ("optimize", "--trajectory", "faster.json", "--direction", "forward", "--chips", "40", "--open", "20")
     options += ("--objective", "min-mtf", "--steps", "1", "--seed", "1", "--force")
     plain, started = cep.succeeds(*options), cep.succeeds(*options, "--bound", "sdp")
     assert started["objective"] < plain["objective"] - 0.1
@@ -196,17 +196,17 @@ def test_a_relaxation_bounds_more_tightly(cep, workplace, motion, objective):
 
 
 def test_a_comparison_that_the_time_ended_is_told(cep, workplace, monkeypatch):
-    """Long codes: their baselines may take no longer than the code itself."""
+    """Long codes: their baselines may take a quarter of the time."""
     limits = []
 
     def cut_short(_length_px, chips, *, time_s, **_options):
         limits.append(time_s)
         return SimpleNamespace(code=ShutterCode("1" * chips), stopped="time")
 
-    monkeypatch.setattr("cep.workflows.compare.dnf_search", cut_short)
+    monkeypatch.setattr("cep.search.recipe.dnf_search", cut_short)
     searched = ["optimize", "--linear", "12", "--chips", "12", "--steps", "500", "--time", "9"]
     found = cep.succeeds(*searched, "--force")
-    assert limits == [9.0]
+    assert limits == [2.25]
     assert found["baselines"]["length-only code"]["stopped_early"]
     assert found["stopped"] == "steps"
     (warning,) = found["warnings"]
@@ -233,8 +233,7 @@ def budgets(monkeypatch):
 
         return search
 
-    for place in ("anneal.anneal", "frames.anneal_frames"):
-        name = f"cep.search.annealing.{place}"
+    for name in ("cep.search.recipe.anneal", "cep.search.annealing.frames.anneal_frames"):
         module, function = name.rsplit(".", 1)
         monkeypatch.setattr(name, hasty(getattr(importlib.import_module(module), function)))
     return seen
@@ -251,13 +250,15 @@ def budgets(monkeypatch):
 )
 def test_the_time_rules_unless_moves_are_given(cep, workplace, budgets, given, budget):
     cep.succeeds(*QUICK, *given)
-    assert budgets == [budget]
+    steps, time_s = budget
+    ((moves, left_s),) = budgets
+    assert moves == steps
+    assert time_s / 2 <= left_s <= time_s  # what the baselines took is off
     del budgets[:]
     cep.succeeds(*QUICK, *given, "--frames", "2")
-    (single, joint), (steps, time_s) = budgets, budget
-    assert single == (steps, time_s / 2)
-    assert joint[0] == steps
-    assert time_s / 2 <= joint[1] <= time_s
+    single, joint = budgets
+    assert single[0] == joint[0] == steps
+    assert time_s / 4 <= single[1] <= time_s / 2 <= joint[1] <= time_s
 
 
 @pytest.mark.parametrize("more", [(), ("--frames", "2")])
@@ -270,9 +271,9 @@ def test_the_result_says_what_ended_the_search(cep, workplace, more):
         found = cep.succeeds(*QUICK, *more, *given)
         assert (found["stopped"], found["interrupted"]) == (stopped, False)
         assert found["steps"] >= (900 if stopped == "steps" else 1)
-        assert [line for line in found["warnings"] if "ended the search before its 1,000,000,000 moves" in line] == (
-            found["warnings"] if len(given) == 4 else []
-        )
+        assert bool(found["warnings"]) == (len(given) == 4)
+        if len(given) == 4:
+            assert "ended the search before its 1,000,000,000 moves" in found["warnings"][0]
         file = found["files"][0] if more else found["file"]
         assert read_code(file).problem["stopped"] == stopped
         cep(*QUICK, *more, *given)

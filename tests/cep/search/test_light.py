@@ -72,9 +72,56 @@ def test_whole_periods_have_true_zeros_along_a_straight_line(chips):
             assert min_chip(ShutterCode(("1" + "0" * (period - 1)) * (chips // period))) < 1e-6
 
 
-def test_a_strobe_of_two_chips_is_refused():
-    with pytest.raises(ValueError, match=r"^chips: a strobe needs at least 3, got 2"):
-        best_strobe(objective(BENT, 2))
+def test_two_chips_have_no_room_for_a_strobe():
+    assert best_strobe(objective(BENT, 2)) is None
+
+
+LIMITS = {
+    "light": {"open_range": (5, 6)},
+    "runs": {"open_range": (4, 9), "min_open": 2, "min_closed": 2, "max_open": 3},
+    "period": {"min_period": 5, "max_pulses": 2},
+    "forced": {"fixed": "????1?????0???"},
+    "forced far apart": {"fixed": "?1???????0??1?"},
+}
+
+
+@pytest.mark.parametrize("path", [BENT, STRAIGHT])
+@pytest.mark.parametrize("limits", LIMITS.values(), ids=LIMITS)
+def test_the_snapshot_within_limits_is_the_best_run_that_keeps_them(path, limits):
+    chips = 14
+    judge = objective(path, chips, **limits)
+    every = np.array([[first <= i < end for i in range(chips)] for end in range(1, chips + 1) for first in range(end)])
+    allowed = every[judge.problem.satisfied(every)]
+    found = best_snapshot(judge, within_limits=True)
+    if not len(allowed):
+        assert found is None
+    else:
+        assert judge.problem.allows(found)
+        assert cost(judge, found) == pytest.approx(least_cost(judge, allowed), abs=1e-4)
+
+
+@pytest.mark.parametrize("limits", LIMITS.values(), ids=LIMITS)
+def test_the_strobe_within_limits_is_the_best_of_whole_pulses_that_keep_them(limits):
+    chips = 14
+    judge = objective(BENT, chips, **limits)
+    every = set()
+    for width in range(1, chips):
+        for period in range(width + 1, chips):
+            for pulses in range(2, chips):
+                for first in range(chips if "fixed" in limits else 1):
+                    ends = [first + k * period + width for k in range(pulses)]
+                    if ends[-1] <= chips:
+                        every.add(tuple(any(end - width <= i < end for end in ends) for i in range(chips)))
+    allowed = np.array(sorted(every))
+    allowed = allowed[judge.problem.satisfied(allowed)]
+    found = best_strobe(judge, within_limits=True)
+    assert judge.problem.allows(found)
+    assert found.pulses >= 2
+    assert cost(judge, found) == pytest.approx(least_cost(judge, allowed), abs=1e-4)
+
+
+def test_where_one_pulse_is_all_there_may_be_no_strobe_keeps_the_limits():
+    assert best_strobe(objective(BENT, 14, max_pulses=1), within_limits=True) is None
 
 
 def test_random_codes_come_ranked_with_their_spread():

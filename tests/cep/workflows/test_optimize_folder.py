@@ -3,13 +3,12 @@
 import csv
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from cep.cli.console import FAILURE, INTERRUPTED
 from cep.io.files import read_code
-from cep.search.annealing import anneal
+from cep.search import recipe
 from motdiff.io.trajectories import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory
 
@@ -127,7 +126,7 @@ def test_of_a_motion_that_fails_now_no_older_code_stays(cep, motions):
 
 def test_stopped_it_writes_what_is_finished_and_goes_on(cep, motions, monkeypatch):
     """A search that Ctrl-C ends gives its best so far, which must not pass for a finished one."""
-    calls, real = [], anneal.anneal
+    calls, real = [], recipe.anneal
 
     def interrupted(problem, *, progress, **options):
         def stop(_fraction, _best):
@@ -136,11 +135,7 @@ def test_stopped_it_writes_what_is_finished_and_goes_on(cep, motions, monkeypatc
         calls.append(problem)
         return real(problem, progress=stop if len(calls) == 2 else progress, **options)
 
-    monkeypatch.setattr(anneal, "anneal", interrupted)
-    monkeypatch.setattr(
-        "cep.workflows.compare.dnf_search",
-        lambda _length, chips, **_options: SimpleNamespace(code=anneal.ShutterCode("1" * chips), stopped="steps"),
-    )
+    monkeypatch.setattr(recipe, "anneal", interrupted)
     cep(*EACH, "--json")
     assert cep.code == INTERRUPTED
     assert (list(cep.json["codes"]), cep.json["missing"], cep.json["failures"]) == (["a"], 2, {})

@@ -57,13 +57,13 @@ def test_cheapest_neighbours(name, objective):
 def test_a_polished_code_has_no_better_neighbour(objective):
     problem = SearchProblem(chips=20, open_range=(10, 10), objective=objective)
     ranked = problem.random_codes(3, rng=np.random.default_rng(0)).astype(np.int8)
-    told = list(polish(problem, ranked))
+    fine = Objective(problem, oversampling=64, dtype=np.float64)
+    told = list(polish(fine, ranked))
     costs, fractions = [one.cost for one in told], [one.done for one in told]
     assert fractions == sorted(fractions)
     # the best of the codes as they come in, then ever better
     assert costs == sorted(costs, reverse=True)
     assert costs[-1] < costs[2]
-    fine = Objective(problem, oversampling=64, dtype=np.float64)
     near = neighbours(problem, told[-1].code.array.astype(np.int8), swaps=True)
     hopeful = near[fine.cost_of(near) < costs[-1]]
     assert all(fine.exact_cost(type(told[-1].code).from_array(one)) >= costs[-1] - 1e-9 for one in hopeful)

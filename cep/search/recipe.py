@@ -1,0 +1,271 @@
+"""The one recipe of a search: codes that would be used anyway, annealing from those within the limits, the best of all.
+
+What a code is compared with is computed first. Whatever of it keeps the problem's limits is a start of the annealing,
+and the code returned is the best of what the search found and of them, by the problem's objective with its minima over
+the continuum. So no code within the limits that a table shows beats the one returned.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cep.codes.published import for_chips
+from cep.optics.code import ShutterCode
+from cep.search.annealing.anneal import Stopped, anneal
+from cep.search.dnf import dnf_search
+from cep.search.light import best_snapshot, best_strobe, random_codes
+from cep.search.objective import Objective
+from cep.search.problem import SearchProblem
+
+__all__ = [
+    "Baseline",
+    "Found",
+    "baselines",
+    "baselines_so_far",
+    "best_of",
+    "judge_of",
+    "mean_length_px",
+    "search_code",
+]
+
+_COARSE, _FINE = 8, 64  # samples per 1 / extent: to choose a baseline, and to judge
+_RANDOM_CODES = 15
+_LENGTH_ONLY_MOVES = 200_000
+_LENGTH_ONLY_SHARE = 0.25  # of the time limit: all that may take long of what comes before the annealing
+_LEAST_SHARE = 0.5  # of the time limit that the annealing has in any case
+_WITHIN = " within the limits"
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A code that would be used instead of a searched one.
+
+    Attributes
+    ----------
+    name : str
+        "open shutter", "best snapshot", "best strobe", "published: NAME", "length-only code" or "random code, median";
+        "best snapshot within the limits" and "best strobe within the limits" where the best ones break them.
+    code : ShutterCode
+    cost_db : float
+        By the problem's objective, with its minima over the continuum; lower is better.
+    within_limits : bool
+        Whether the code keeps the problem's limits: others could not be returned, however good they are.
+    stopped_early : bool
+        Whether the time limit or Ctrl-C ended the search of this code: another run may give another.
+    """
+
+    name: str
+    code: ShutterCode
+    cost_db: float
+    within_limits: bool
+    stopped_early: bool = False
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search or a proof came to.
+
+    Attributes
+    ----------
+    code : ShutterCode
+    objective : float
+        Cost in dB with minima over the continuum, lower is better.
+    steps : int
+        Moves tried, or codes counted.
+    seconds : float
+        The baselines' included.
+    stopped : {"steps", "time", "interrupted", "complete", "proven"}
+        What ended it: all moves made, the time limit, Ctrl-C, that no other code keeps the limits, or a proof.
+    baselines : tuple of Baseline
+        What the code was compared with: none of them that keeps the limits has a lower cost. Ctrl-C may have cut them
+        short.
+    proof : dict or None
+        Log of the proof.
+    """
+
+    code: ShutterCode
+    objective: float
+    steps: int
+    seconds: float
+    stopped: Stopped
+    baselines: tuple[Baseline, ...]
+    proof: dict[str, Any] | None = None
+
+
+def search_code(
+    problem: SearchProblem,
+    *,
+    rng: np.random.Generator,
+    steps: int | None = 1_000_000,
+    time_s: float = 60.0,
+    start: Iterable[ShutterCode] = (),
+    length_px: float | None = None,
+    progress: Callable[[float, ShutterCode], None] | None = None,
+    threads: int | None = None,
+) -> Found:
+    """Search a code; anytime: a limit or Ctrl-C returns the best so far.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    rng : numpy Generator
+        The same seed and ``steps`` give the same code, as long as ``time_s`` is not reached.
+    steps, time_s, progress, threads
+        Of the annealing, as :func:`cep.search.annealing.anneal.anneal` takes them. What the baselines take counts
+        against the time, but for the half of it that the annealing has in any case.
+    start : iterable of ShutterCode
+        Codes to start from besides the baselines.
+    length_px : float, optional
+        As of :func:`baselines`.
+
+    Raises
+    ------
+    ValueError
+        If a limit is not positive or a starting code has another length.
+    """
+    began = time.monotonic()
+    for_baselines, for_search = rng.spawn(2)
+    judge = judge_of(problem)
+    known, whole = baselines_so_far(
+        problem, judge, rng=for_baselines, length_px=length_px, time_s=time_s, threads=threads
+    )
+    if whole:
+        left_s = max(time_s - (time.monotonic() - began), _LEAST_SHARE * time_s)
+        searched = anneal(
+            problem,
+            rng=for_search,
+            steps=steps,
+            time_s=left_s,
+            start=[*(one.code for one in known if one.within_limits), *start],
+            progress=progress,
+            threads=threads,
+            judge=judge,
+        )
+        code, cost, moves, stopped = searched.code, searched.objective, searched.steps, searched.stopped
+    else:
+        code = ShutterCode.from_array(problem.random_codes(1, rng=for_search)[0])
+        cost, moves, stopped = judge.exact_cost(code), 0, "interrupted"
+    code, cost = best_of(code, cost, known)
+    return Found(code, cost, moves, time.monotonic() - began, stopped, known)
+
+
+def judge_of(problem: SearchProblem) -> Objective:
+    """Return the objective that codes are compared by in the end, see :meth:`Objective.exact_cost`."""
+    return Objective(problem, oversampling=_FINE, dtype=np.float64)
+
+
+def best_of(code: ShutterCode, cost_db: float, known: Iterable[Baseline]) -> tuple[ShutterCode, float]:
+    """Return the best, with its cost, of a code and the baselines within the limits; the code where none is better."""
+    best = min((one for one in known if one.within_limits), key=lambda one: one.cost_db, default=None)
+    return (code, cost_db) if best is None or best.cost_db >= cost_db else (best.code, best.cost_db)
+
+
+def baselines(
+    problem: SearchProblem,
+    *,
+    rng: np.random.Generator,
+    length_px: float | None = None,
+    time_s: float = math.inf,
+    threads: int | None = None,
+) -> tuple[Baseline, ...]:
+    """List the codes that would be used instead of a searched one.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        Its limits are kept by the length-only and the random code, and by the snapshot and the strobe that say so.
+    rng : numpy Generator
+    length_px : float, optional
+        Of the path, for the length-only code; :func:`mean_length_px` of the problem when omitted.
+    time_s : float
+        Limit of a search that these are for, seconds; the length-only code's own search takes a quarter of it at most.
+    threads : int, optional
+        As many as there are cores when omitted; the codes do not depend on it.
+
+    Notes
+    -----
+    The snapshot is the run of open chips, anywhere in the exposure and of any length, and the strobe the periodic
+    pulses, that are best by the problem's objective. The length-only code is searched as the DNF methods do: for a
+    uniform straight motion of the path's length, least noise. The random code is the middle one of 15 by the objective.
+    """
+    judge = judge_of(problem)
+    return tuple(_listed(problem, judge, rng=rng, length_px=length_px, time_s=time_s, threads=threads))
+
+
+def baselines_so_far(
+    problem: SearchProblem,
+    judge: Objective,
+    *,
+    rng: np.random.Generator,
+    length_px: float | None,
+    time_s: float,
+    threads: int | None,
+) -> tuple[tuple[Baseline, ...], bool]:
+    """List the baselines until Ctrl-C, and say whether they are all there; arguments as of :func:`baselines`."""
+    known: list[Baseline] = []
+    try:
+        for one in _listed(problem, judge, rng=rng, length_px=length_px, time_s=time_s, threads=threads):
+            known.append(one)
+    except KeyboardInterrupt:
+        return tuple(known), False
+    return tuple(known), True
+
+
+def mean_length_px(problem: SearchProblem) -> float:
+    """Mean length of the problem's paths, px; on the unit circle, a px for each chip."""
+    return float(np.mean([one.trajectory.length_px for one in problem.scenarios] or [problem.chips]))
+
+
+def _listed(
+    problem: SearchProblem,
+    judge: Objective,
+    *,
+    rng: np.random.Generator,
+    length_px: float | None,
+    time_s: float,
+    threads: int | None,
+) -> Iterator[Baseline]:
+    """Yield each baseline as soon as it is known."""
+
+    def listed(name: str, code: ShutterCode, *, stopped_early: bool = False) -> Baseline:
+        return Baseline(name, code, judge.exact_cost(code), problem.allows(code), stopped_early)
+
+    yield listed("open shutter", ShutterCode("1" * problem.chips))
+    coarse = Objective(problem, oversampling=_COARSE)
+    for name, best in (("best snapshot", best_snapshot), ("best strobe", best_strobe)):
+        free = best(coarse)
+        if free is None:
+            continue
+        row = listed(name, free)
+        yield row
+        kept = None if row.within_limits else best(coarse, within_limits=True)
+        if kept is not None:
+            yield listed(name + _WITHIN, kept)
+    for entry in for_chips(problem.chips):
+        yield listed(f"published: {entry.name}", entry.code)
+    length_only = dnf_search(
+        mean_length_px(problem) if length_px is None else length_px,
+        problem.chips,
+        rng=rng,
+        steps=_LENGTH_ONLY_MOVES,
+        time_s=_LENGTH_ONLY_SHARE * time_s,
+        threads=threads,
+        open_range=problem.open_limits,
+        min_open=problem.min_open,
+        min_closed=problem.min_closed,
+        max_pulses=problem.max_pulses,
+        max_open=problem.max_open,
+        min_period=problem.min_period,
+        fixed=problem.fixed,
+    )
+    cut = length_only.stopped in ("time", "interrupted")
+    yield listed("length-only code", length_only.code, stopped_early=cut)
+    if length_only.stopped == "interrupted":
+        raise KeyboardInterrupt
+    yield listed("random code, median", random_codes(coarse, _RANDOM_CODES, rng=rng).middle)
