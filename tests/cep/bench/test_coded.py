@@ -443,7 +443,7 @@ def test_an_interrupted_search_is_not_taken_for_a_finished_one(monkeypatch, desi
     def stop(_fraction, _best):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(recipe, "anneal", lambda problem, **options: real(problem, progress=stop, **options))
+    monkeypatch.setattr(recipe, "anneal", lambda problem, **options: real(problem, **options | {"progress": stop}))
     with pytest.raises(KeyboardInterrupt):
         chosen(design, steps=10**6)
 
