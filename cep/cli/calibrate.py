@@ -24,7 +24,7 @@ from cep.cli.jobs import (
 from cep.cli.options import Force, Gamma, Json, Seed, output_option
 
 if TYPE_CHECKING:
-    from cep.jobs.engine import Outcome
+    from cep.jobs.cells import Result
 
 __all__ = ["calibrate", "calibrate_folder"]
 
@@ -222,7 +222,7 @@ def calibrate_folder(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Estimate, write and print the motion in each photo; one that fails is told of, the others are kept.
+    """Estimate, write and print the motion in each photo, one by one; one that fails is told of, the others are kept.
 
     Parameters
     ----------
@@ -274,6 +274,17 @@ def calibrate_folder(
         for label, photo in by_label.items()
         if label not in failures
     ]  # fmt: skip
+    motions: dict[str, dict[str, Any]] = {}
+
+    def write(result: Result) -> None:
+        (label,) = result.cell.name
+        try:
+            motions[label] = _written(
+                by_label[label], result, target / by_label[label].stem, gamma=gamma, seed=seed, force=force
+            )
+        except _GoneError as error:
+            failures[label] = str(error)
+
     outcome = run_folder(
         cells,
         task=f"estimating the motion ({method})",
@@ -281,9 +292,10 @@ def calibrate_folder(
         cache=cache or target / "cells",
         workers=workers,
         dask=dask,
+        write=write,
     )
+    motions = {label: motions[label] for label in by_label if label in motions}
     failures |= {label: reason for (label,), reason in outcome.failures.items()}
-    motions = _written(outcome, by_label, failures, target=target, gamma=gamma, seed=seed, force=force)
     if force:
         for label in failures:
             discard(target / by_label[label].stem, CALIBRATION_FILES)
@@ -313,50 +325,37 @@ def calibrate_folder(
     )
 
 
-def _written(
-    outcome: Outcome,
-    by_label: Mapping[str, Path],
-    failures: dict[str, str],
-    *,
-    target: Path,
-    gamma: str,
-    seed: int,
-    force: bool,
-) -> dict[str, dict[str, Any]]:
-    """Write what was found, each as ``cep calibrate PHOTO`` does; photos that have gone are added to the failures."""
+class _GoneError(Exception):
+    """A photo is not what it was when its motion was estimated."""
+
+
+def _written(photo: Path, result: Result, folder: Path, *, gamma: str, seed: int, force: bool) -> dict[str, Any]:
+    """Write what was found in a photo as ``cep calibrate PHOTO`` does, and say it for the table."""
     from cep.io.images import read_image
     from cep.workflows.calibrate import write_calibration
     from cep.workflows.calibrate_folder import estimate_from_figures
 
-    done = {label: figures for (label,), figures in outcome.figures.items() if figures}
-    motions: dict[str, dict[str, Any]] = {}
-    with progress("writing") as tick:
-        for label, figures in done.items():
-            tick(len(motions) / len(done), label)
-            photo = by_label[label]
-            try:
-                pixels = read_image(photo, gamma=gamma)
-            except (ValueError, OSError) as error:  # it was there when its motion was estimated, maybe hours ago
-                failures[label] = f"has changed since: {error}"
-                continue
-            found, warnings = estimate_from_figures(figures)
-            source = {"image": str(photo), "seed": seed}
-            files = write_calibration(target / photo.stem, found, pixels, source=source, force=force)
-            motion = found.trajectories[0]
-            motions[label] = {
-                "method": found.method,
-                "trajectory": files["trajectory.json"],
-                "psf": files["psf.npy"],
-                "length_px": motion.length_px,
-                "extent_px": motion.extent_px,
-                "direction": motion.direction,
-                "confidence": found.confidence,
-                "seconds": figures["seconds"],
-                "warnings": warnings,
-                "files": list(files.values()),
-                "details": found.details,
-            }
-    return motions
+    try:
+        pixels = read_image(photo, gamma=gamma)
+    except (ValueError, OSError) as error:  # it was there when its motion was estimated, maybe hours ago
+        raise _GoneError(f"has changed since: {error}") from None
+    figures = result.finished.figures
+    found, warnings = estimate_from_figures(figures)
+    files = write_calibration(folder, found, pixels, source={"image": str(photo), "seed": seed}, force=force)
+    motion = found.trajectories[0]
+    return {
+        "method": found.method,
+        "trajectory": files["trajectory.json"],
+        "psf": files["psf.npy"],
+        "length_px": motion.length_px,
+        "extent_px": motion.extent_px,
+        "direction": motion.direction,
+        "confidence": found.confidence,
+        "seconds": figures["seconds"],
+        "warnings": warnings,
+        "files": list(files.values()),
+        "details": found.details,
+    }
 
 
 def _label(photo: Path) -> str:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cep.bench.index_page import Part
     from cep.bench.tables import Column, Entry, Table
     from cep.cli.console import Tick
-    from cep.jobs.cells import Cell
+    from cep.jobs.cells import Cell, Result
     from cep.jobs.engine import Outcome
 
 __all__ = [
@@ -64,8 +64,9 @@ def run_folder(
     cache: Path,
     workers: int | None,
     dask: str | None,
+    write: Callable[[Result], None],
 ) -> Outcome:
-    """Run cells behind a progress bar that counts what they stand for.
+    """Run cells behind a progress bar that counts what they stand for, and write each result as soon as it is there.
 
     Parameters
     ----------
@@ -74,18 +75,31 @@ def run_folder(
         What is done, and to what, in the plural.
     cache, workers, dask
         As of :func:`cep.jobs.engine.run_cells`; as many workers as cores when omitted.
+    write : function
+        Writes a result that is no failure. After Ctrl-C it is called again with what it may not have come to.
     """
     from cep.jobs.engine import run_cells
     from cep.jobs.machine import machine
 
+    written: set[tuple[str, ...]] = set()
+
+    def once(result: Result) -> None:
+        if not result.finished.failure and result.cell.name not in written:
+            write(result)
+            written.add(result.cell.name)
+
     with progress(task) as tick:
-        return run_cells(
+        outcome = run_cells(
             cells,
             cache=cache,
             workers=workers or machine()["cores"] or 1,
             dask=dask,
             progress=lambda fraction, note: tick(fraction, note.replace("cells", noun)),
+            finished=once,
         )
+        for result in outcome.results:
+            once(result)
+    return outcome
 
 
 def summary_csv(columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> str:

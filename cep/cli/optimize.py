@@ -67,7 +67,7 @@ from cep.workflows.search_options import SearchOptions, Task, ending, search_of,
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cep.jobs.engine import Outcome
+    from cep.jobs.cells import Result
     from cep.workflows.optimize import Search
     from hw.device import DeviceProfile
     from motdiff.io.trajectories import StoredMotion
@@ -297,7 +297,7 @@ def optimize_folder(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Search, write and print a code for each motion; one that fails is told of, the others are kept.
+    """Search, write and print a code for each motion, one by one; one that fails is told of, the others are kept.
 
     Parameters
     ----------
@@ -316,11 +316,12 @@ def optimize_folder(
     ValueError
         If there are no motions, an output is in the way, or the options suit none of them.
     """
+    from cep.io.files import write_code
     from cep.io.outputs import claim_folder, write_text
     from cep.jobs.cells import Cell
     from cep.jobs.fingerprint import source_version
     from cep.workflows.calibrate_folder import motions_in
-    from cep.workflows.optimize import optimize_motion
+    from cep.workflows.optimize import code_from_figures, optimize_motion
 
     motions = motions_in(folder)
     tasks, failures = _tasks(folder, motions, task)  # first: it tells what is wrong with the options
@@ -340,11 +341,25 @@ def optimize_folder(
         )
         for name, one in tasks.items()
     ]  # fmt: skip
+    codes: dict[str, dict[str, Any]] = {}
+
+    def write(result: Result) -> None:
+        (name,) = result.cell.name
+        told, stored = code_from_figures(result.finished.figures, tasks[name].described)
+        if reason := unplayable(stored.code.bits, profile, stored.code.chip_ns):
+            failures[name] = reason
+            return
+        file = target / name / _CODE
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_code(file, stored)
+        warnings = warnings_of(tasks[name], how, stopped=told["stopped"], baselines=told["baselines"])
+        codes[name] = {"file": file, **told, "warnings": warnings}
+
     outcome = run_folder(
-        cells, task="searching", noun="codes", cache=cache or target / "cells", workers=workers, dask=dask
+        cells, task="searching", noun="codes", cache=cache or target / "cells", workers=workers, dask=dask, write=write
     )
+    codes = {name: codes[name] for name in tasks if name in codes}
     failures |= {name: reason for (name,), reason in outcome.failures.items()}
-    codes = _written(outcome, tasks, how, target=target, profile=profile, failures=failures)
     if force:
         for name in failures:
             discard(target / name, [_CODE])
@@ -395,32 +410,3 @@ def _tasks(
             if all(failures[name] == str(error) for name in stored):
                 raise
     return tasks, failures
-
-
-def _written(
-    outcome: Outcome,
-    tasks: dict[str, Task],
-    how: Search,
-    *,
-    target: Path,
-    profile: DeviceProfile | None,
-    failures: dict[str, str],
-) -> dict[str, dict[str, Any]]:
-    """Write the codes that were found; those that the device cannot play are added to the failures."""
-    from cep.io.files import write_code
-    from cep.workflows.optimize import code_from_figures
-
-    codes: dict[str, dict[str, Any]] = {}
-    for (name,), figures in outcome.figures.items():
-        if not figures:
-            continue
-        told, stored = code_from_figures(figures, tasks[name].described)
-        if reason := unplayable(stored.code.bits, profile, stored.code.chip_ns):
-            failures[name] = reason
-            continue
-        file = target / name / _CODE
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_code(file, stored)
-        warnings = warnings_of(tasks[name], how, stopped=told["stopped"], baselines=told["baselines"])
-        codes[name] = {"file": file, **told, "warnings": warnings}
-    return codes

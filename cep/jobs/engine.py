@@ -63,6 +63,7 @@ def run_cells(
     workers: int = 1,
     dask: str | None = None,
     progress: Callable[[float, str], None] = lambda _fraction, _note: None,
+    finished: Callable[[Result], None] = lambda _result: None,
 ) -> Outcome:
     """Run every cell that is not on disk already; one that raises is told of and the others go on.
 
@@ -78,6 +79,9 @@ def run_cells(
         Address of the scheduler of a cluster to run on instead; files among the arguments must be there too.
     progress : callable, optional
         Called with the fraction done and a note with the time left.
+    finished : callable, optional
+        Called with each result as soon as it is there, those found on disk first. What it raises ends the run, but for
+        Ctrl-C, after which it may not have been called with all results.
 
     Returns
     -------
@@ -100,26 +104,44 @@ def run_cells(
         twice = next(cell for cell in cells if names.count(cell.name) > 1)
         raise ValueError(f"cells: every name must come once, {twice.label} comes twice")
     with _no_empty_folder(Path(cache)):
-        return _run(cells, Cache(cache), workers=workers, dask=dask, progress=progress)
+        return _run(cells, Cache(cache), workers=workers, dask=dask, progress=progress, finished=finished)
 
 
 def _run(
-    cells: Sequence[Cell], store: Cache, *, workers: int, dask: str | None, progress: Callable[[float, str], None]
+    cells: Sequence[Cell],
+    store: Cache,
+    *,
+    workers: int,
+    dask: str | None,
+    progress: Callable[[float, str], None],
+    finished: Callable[[Result], None],
 ) -> Outcome:
     keys = fingerprints(cells)
     by_key = dict(zip(keys, cells, strict=True))
-    found = {key: finished for key in by_key if (finished := store.find(key)) is not None}
+    alike: dict[str, list[Cell]] = {key: [] for key in by_key}
+    for key, cell in zip(keys, cells, strict=True):
+        alike[key].append(cell)
+    found = {key: known for key in by_key if (known := store.find(key)) is not None}
     cached = frozenset(found)
     left = {key: cell for key, cell in by_key.items() if key not in found}
     waiting = {key: (cell.work, given) for (key, cell), given in zip(left.items(), pinned(left.values()), strict=True)}
-    began_s = time.monotonic()
+
+    def tell(key: str) -> None:
+        for cell in alike[key]:
+            finished(Result(cell, found[key], key in cached))
+
     try:
-        progress(len(found) / max(len(by_key), 1), f"{len(found)} of {len(by_key)} cells")
+        progress(0.0, f"0 of {len(by_key)} cells")
+        for count, key in enumerate(found, 1):
+            tell(key)
+            progress(count / len(by_key), f"{count} of {len(by_key)} cells")
+        began_s = time.monotonic()
         with closing(_finishing(waiting, workers=workers, dask=dask)) as stream:
-            for key, finished in stream:
-                if not finished.failure:
-                    store.keep(key, by_key[key], finished)
-                found[key] = finished
+            for key, came in stream:
+                if not came.failure:
+                    store.keep(key, by_key[key], came)
+                found[key] = came
+                tell(key)
                 left_s = (time.monotonic() - began_s) / (len(found) - len(cached)) * (len(by_key) - len(found))
                 progress(
                     len(found) / len(by_key), f"{len(found)} of {len(by_key)} cells, about {_in_words(left_s)} left"

@@ -71,6 +71,24 @@ def test_what_is_finished_is_not_done_again(cache, log):
     assert [result.cached for result in again.results] == [False, True, True]
 
 
+@pytest.mark.parametrize("workers", [1, 2])
+def test_each_result_is_told_when_it_is_there_known_ones_first(cache, log, workers):
+    run_cells(squares([2], log), cache=cache)
+    told = []
+
+    def tell(result):
+        kept = len([path for path in cache.iterdir() if path.suffix == ".json"])
+        told.append((result.cell.name[0], result.cached, result.finished.figures["square"], kept))
+
+    twin = Cell(("twin",), bench_work.square, {"value": 3, "log": str(log)})
+    run_cells([*squares([1, 2, 3], log), twin], cache=cache, workers=workers, finished=tell)
+    assert told[0] == ("of 2", True, 4, 1)
+    assert {name: figure for name, _, figure, _ in told} == {"of 1": 1, "of 2": 4, "of 3": 9, "twin": 9}
+    kept = {name: count for name, _, _, count in told}
+    assert kept["of 3"] == kept["twin"]
+    assert sorted(kept.values()) in ([1, 2, 2, 3], [1, 2, 3, 3])
+
+
 def test_cells_of_the_same_content_run_once(cache, log):
     first, second = squares([5], log)[0], Cell(("another",), bench_work.square, {"value": 5, "log": str(log)})
     outcome = run_cells([first, second], cache=cache)

@@ -219,6 +219,45 @@ def test_stopped_it_writes_what_is_finished_and_goes_on(cep, shots, guesses):
     assert guesses.calls == 7
 
 
+def test_each_photo_is_written_before_the_next_one_is_begun(cep, shots, guesses, monkeypatch):
+    """Whatever ends the command then, what is finished is there: a crash and a full disk as well as Ctrl-C."""
+    real, seen = guesses.estimate, []
+
+    def estimate(self, photo):
+        seen.append(sorted(path.parent.name for path in Path("shots_motion").glob("*/preview.png")))
+        return real(self, photo)
+
+    monkeypatch.setattr(guesses, "estimate", estimate)
+    guesses.stops = 3
+    assert cep(*REFERENCE, "--json").code == INTERRUPTED
+    assert seen == [[], ["a"], ["a", "b"]]
+    assert [row["failure"] for row in rows_of("shots_motion/motions.csv")] == ["", "", "left out"]
+
+
+@pytest.mark.parametrize("stopped_at", [1, 2])
+def test_stopped_while_processes_work_it_keeps_what_came_and_tells(cep, shots, monkeypatch, stopped_at):
+    """Ctrl-C in the midst of writing: that photo is finished, the others of the pool are left out."""
+    from cep.workflows import calibrate
+
+    real, begun = calibrate.write_calibration, []
+
+    def interrupted(folder, *arguments, **options):
+        begun.append(Path(folder).name)
+        if len(begun) == stopped_at:
+            raise KeyboardInterrupt
+        return real(folder, *arguments, **options)
+
+    monkeypatch.setattr(calibrate, "write_calibration", interrupted)
+    cep(*REFERENCE[:-1], "2", "--json")
+    assert cep.code == INTERRUPTED
+    done = {Path(name).stem for name in cep.json["photos"]}
+    assert done == {*begun} == {path.parent.name for path in Path("shots_motion").glob("*/preview.png")}
+    assert (len(done), cep.json["missing"]) == (stopped_at, 3 - stopped_at)
+    assert sorted(row["failure"] for row in rows_of("shots_motion/motions.csv")) == (
+        [""] * stopped_at + ["left out"] * (3 - stopped_at)
+    )
+
+
 def test_a_photo_that_goes_meanwhile_loses_no_other(cep, shots, guesses, monkeypatch):
     real = images.read_image
 

@@ -149,6 +149,20 @@ def test_stopped_it_writes_what_is_finished_and_goes_on(cep, motions, monkeypatc
     assert len(calls) == 7
 
 
+def test_each_code_is_written_before_the_next_search(cep, motions, monkeypatch):
+    from cep.workflows import optimize
+
+    real, seen = optimize.appraise, []
+
+    def appraise(*arguments, **options):
+        seen.append(sorted(path.parent.name for path in Path("motions").glob("*/code.json")))
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(optimize, "appraise", appraise)
+    assert list(cep.succeeds(*EACH)["codes"]) == list(MOTIONS)
+    assert seen == [[], ["a"], ["a", "b[1]"]]
+
+
 def test_a_search_that_the_time_ended_is_told(cep, motions):
     found = cep.succeeds(
         "optimize", "--each", "motions", "--chips", "12", "--steps", "1000000000", "--time", "0.01", "--workers", "1"
