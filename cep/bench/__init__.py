@@ -1,1 +1,1 @@
-"""Comparisons that anyone can run again."""
+"""Benchmarks: the paper's tables, tables of published codes, and their reports."""

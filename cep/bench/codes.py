@@ -1,4 +1,4 @@
-"""Each published code against the search at its own length and light: smallest |P| and noise of deconvolution."""
+"""Published codes against searched ones of the same length and open chips: smallest |P| and deconvolution noise."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 
-_MIX = (("min-mtf", 0.1), ("noise", 1.0))  # a decibel of noise is harder won than one of the minimum
+_MIX = (("min-mtf", 0.1), ("noise", 1.0))  # a decibel of noise is harder to gain than one of the minimum
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def measure_code(*, bits: str, time_s: float, seed: Sequence[int], threads: int 
     Raises
     ------
     KeyboardInterrupt
-        When stopped: half a search is no comparison.
+        When stopped: an interrupted search is no comparison.
     """
     code = ShutterCode(bits)
     problem = SearchProblem(chips=code.chips, open_range=(code.open_chips, code.open_chips), objective=_MIX)
@@ -109,7 +109,7 @@ def measure_code(*, bits: str, time_s: float, seed: Sequence[int], threads: int 
 
 
 def code_cells(codes: Sequence[tuple[str, ShutterCode]], *, time_s: float, seed: int) -> list[Cell]:
-    """List the cells of the table; what one code gives does not depend on the others.
+    """List the cells of the table; the figures of a code do not depend on the others.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Sharp photos for benchmarks: any folder, the layouts of published data sets, or the photos that anyone has."""
+"""Photos for benchmarks: folders, layouts of published data sets, or scikit-image's photos; scenes cut from them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.bench.own_files import left_by_us
+from cep.bench.own_files import is_own_output
 from cep.io.images import PICTURE_SUFFIXES, read_image
 from motdiff.crops import luminance
 
@@ -37,7 +37,7 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 Layout = Literal["photos", "gopro", "rsblur", "levin", "koehler"]
-"""What a folder holds, told by its content: see :func:`layout_of`."""
+"""Layouts of folders, recognised by content: see :func:`layout_of`."""
 
 _BLURRED = ("blur", "blur_gamma")
 _COMPARED = 4
@@ -57,7 +57,7 @@ BUNDLED_WARNING = "photos are those of scikit-image: too few and too odd for a c
 
 
 def bundled_photos() -> tuple[Path, ...]:
-    """Ten photos that scikit-image carries: for a run without a folder, and too few and too odd for a claim."""
+    """Ten photos of scikit-image, for a run without a folder: too few and too unusual for a claim."""
     found = find_spec("skimage")
     assert found is not None
     assert found.origin is not None
@@ -66,7 +66,7 @@ def bundled_photos() -> tuple[Path, ...]:
 
 
 def layout_of(folder: Path | str) -> Layout:
-    """Tell what a folder holds.
+    """Recognise the layout of a folder.
 
     "gopro" has folders ``sharp`` beside ``blur`` or ``blur_gamma``, "rsblur" has ``real_blur/real_blur.png`` beside
     ``gt/gt_sharp.png``, "levin" has ``.mat`` files that are no PSFs of ours, "koehler" has ``Blurry1_1.png``; anything
@@ -80,7 +80,7 @@ def layout_of(folder: Path | str) -> Layout:
     root = _folder(folder)
     if any(root.glob("Blurry*_*.png")):  # before Levin's: its sharp frames come as .mat files too
         return "koehler"
-    if not all(left_by_us(path) for path in root.glob("*.mat")):
+    if not all(is_own_output(path) for path in root.glob("*.mat")):
         return "levin"
     if next(root.rglob("gt_sharp.png"), None) or next(root.rglob("real_blur.png"), None):
         return "rsblur"
@@ -91,7 +91,7 @@ def layout_of(folder: Path | str) -> Layout:
 def photo_folder(folder: Path | str) -> tuple[Path, ...]:
     """List the sharp photos of a folder, sorted: all of them, or the sharp halves of GoPro's and RSBlur's layouts.
 
-    Pictures that our own commands have left there are none, where they can be told: see :mod:`cep.bench.own_files`.
+    Pictures written by the project's own commands are left out: see :mod:`cep.bench.own_files`.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def crop(path: Path, size: int, rng: np.random.Generator, *, gamma: str = "linea
     size : int, px
     rng : numpy Generator
     gamma : {"linear", "srgb"}
-        "linear" takes code values for light, as the literature does; "srgb" turns them into light.
+        "linear" uses code values as light, as the literature does; "srgb" decodes them to light.
 
     Returns
     -------
@@ -198,7 +198,7 @@ def _photos(paths: Iterable[Path]) -> list[Path]:
     return sorted(
         p
         for p in paths
-        if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".") and p.is_file() and not left_by_us(p)
+        if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".") and p.is_file() and not is_own_output(p)
     )
 
 
@@ -361,13 +361,13 @@ def _frames(folder: Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class Cut:
-    """Which square of a photo a scene is.
+    """A scene as a square cut from a photo.
 
     Attributes
     ----------
     size_px : int, px
     gamma : {"linear", "srgb"}
-        Whether code values are taken for light, or turned into it.
+        Whether code values are used as light, or decoded to it.
     seed : tuple of int
         Of the place.
     """

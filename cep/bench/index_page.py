@@ -1,4 +1,4 @@
-"""Several tables in one folder, and the page that leads to them."""
+"""Index page of several tables in one folder."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ INDEX = "README.md"
 
 @dataclass(frozen=True)
 class Part:
-    """A table as it lies on disk.
+    """A table on disk.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ def first_table(tables: Sequence[Table]) -> str:
 
 
 def write_index(folder: Path, parts: Sequence[Part], *, command: str, unmade: Sequence[str] = ()) -> Path:
-    """Write :data:`INDEX`: commands, machines, and of each part the first figures, the picture and the way to the rest.
+    """Write :data:`INDEX`: commands, machines, and for each part its first figures, its picture and links to its files.
 
     Parameters
     ----------

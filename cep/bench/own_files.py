@@ -1,4 +1,4 @@
-"""What our own commands leave in a folder: told by the files that lie together, so that it is not taken for photos."""
+"""Detect output files of the project's own commands, so that they are not read as photos."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cep.io.images import PICTURE_SUFFIXES
 from cep.workflows.calibrate import CALIBRATION_FILES
 from motdiff.io.trajectories import SCHEMA as MOTION_SCHEMA
 
-__all__ = ["left_by_us"]
+__all__ = ["is_own_output"]
 
 _FIGURED = (TABLES_SCHEMA, FRONT_SCHEMA)
 _HEAD = re.compile(rb'\{\s*"schema"\s*:\s*"([^"]*)"')
@@ -22,13 +22,13 @@ _MAT_HEAD_BYTES = 176
 _MAT_NAME = struct.pack("=I4s", 3 << 16 | 1, b"psf")  # text, three bytes of it, as version 5 of the format packs it
 
 
-def left_by_us(path: Path) -> bool:
-    """Whether a picture or ``.mat`` file was made by a command that left its record beside it.
+def is_own_output(path: Path) -> bool:
+    """Whether a picture or ``.mat`` file was written by a command, judged by the files beside it.
 
     These are figures of benchmarks and fronts, beside their JSON; PSFs, beside the same in the other formats; photos
     that ``cep simulate`` has blurred, beside their PSFs; and the pictures of ``cep calibrate`` and ``cep demo``, by
-    their names in a folder with the motion, its PSF and, of the demo, its code. What ``cep mtf`` and ``cep deblur``
-    write has no record and cannot be told from a photo.
+    their names in a folder with the motion, its PSF and, of the demo, its code. Files of ``cep mtf`` and
+    ``cep deblur`` have no record beside them and are not detected.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def _has_motion(folder: Path) -> bool:
 
 
 def _has_psf(folder: Path, stem: str) -> bool:
-    """Whether a PSF lies there as :func:`cep.io.files.write_psf` leaves it."""
+    """Whether there is a PSF in the formats of :func:`cep.io.files.write_psf`."""
     if not all((folder / f"{stem}{suffix}").is_file() for suffix in PSF_SUFFIXES):
         return False
     path = folder / f"{stem}.mat"
@@ -90,7 +90,7 @@ def _has_psf(folder: Path, stem: str) -> bool:
 
 
 def _is_ours(path: Path, *schemas: str) -> bool:
-    """Whether a JSON file says that it has one of these schemas, of whatever version."""
+    """Whether a JSON file has one of these schemas, in any version."""
     if not path.is_file():
         return False
     with path.open("rb") as stream:

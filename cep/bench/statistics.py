@@ -1,4 +1,4 @@
-"""Figures summed up: spread, and intervals of means by clusters."""
+"""Summary statistics of benchmarks: mean, spread, and clustered confidence intervals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-__all__ = ["Interval", "Summary", "crossed_interval", "mean_interval", "summed_up"]
+__all__ = ["Interval", "Summary", "crossed_interval", "mean_interval", "summarized"]
 
 FloatArray = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Interval:
     Attributes
     ----------
     mean, low, high : float
-        Infinite ends where there is one cluster only: it says nothing of others.
+        Infinite ends where there is one cluster only, which gives no estimate of the spread between clusters.
     level : float
         Probability that such an interval holds the true mean.
     n, clusters : int
@@ -62,11 +62,11 @@ class Interval:
 
     @property
     def excludes_zero(self) -> bool:
-        """Whether the true mean is surely not zero, at this level."""
+        """Whether the interval excludes zero."""
         return self.low > 0 or self.high < 0
 
 
-def summed_up(values: Iterable[float]) -> Summary:
+def summarized(values: Iterable[float]) -> Summary:
     """Sum up values that are not NaN; an infinite one makes the mean infinite and the spread NaN."""
     known = np.array(list(values), dtype=float)
     if known.size == 0:
@@ -113,7 +113,7 @@ def mean_interval(
     numbers: dict[Hashable, int] = {}
     members = [numbers.setdefault(label, len(numbers)) for label in (range(x.size) if clusters is None else clusters)]
     sizes = np.bincount(members).astype(float)
-    # about the first value: equal values then have no rounding left to be taken for spread
+    # relative to the first value: equal values then have no spread from rounding
     sums: FloatArray = np.bincount(members, weights=x - x[0]).astype(float)
     count = len(numbers)
     offset = float(sums.sum() / sizes.sum())
@@ -121,7 +121,7 @@ def mean_interval(
     if count == 1:
         return Interval(mean, -np.inf, np.inf, level, x.size, 1)
     error = float(_errors(np.ones((1, count)), sums, sizes)[0])
-    if error == 0:  # clusters alike but for rounding, which draws of them would take for spread
+    if error == 0:  # clusters that differ by rounding only have no spread
         return Interval(mean, mean, mean, level, x.size, count)
     pivots = np.concatenate(
         [_pivots(_draws(count, size, rng), sums, sizes, offset) for size in _portions(resamples, count)]
@@ -188,7 +188,7 @@ def _checked(values: ArrayLike, labels: Sequence[Sequence[Hashable]], level: flo
 
 
 def _clustered(away: FloatArray, labels: Sequence[Hashable]) -> tuple[int, float]:
-    """Count clusters, and the variance of the mean that they tell; ``away`` are distances from the mean."""
+    """Count clusters, and estimate the variance of the mean from them; ``away`` are distances from the mean."""
     numbers: dict[Hashable, int] = {}
     sums = np.bincount([numbers.setdefault(label, len(numbers)) for label in labels], weights=away)
     count = len(numbers)

@@ -1,4 +1,4 @@
-"""A benchmark's tables as files: Markdown for people, CSV and JSON for programs."""
+"""Benchmark tables as files: Markdown, CSV and JSON."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ TABLES_SCHEMA = "cep.bench/1"
 
 
 def tables_markdown(tables: Sequence[Table]) -> str:
-    """Lay out tables as Markdown, bold where a paired test says so."""
+    """Lay out tables as Markdown; a row is bold where a paired test finds it better than the next one."""
     blocks = [f"**{table.title}**\n\n{markdown_table(table.head, table.lines(('**', '**')))}\n" for table in tables]
     return "\n".join(blocks)
 
 
 def means_in_words(tables: Sequence[Table]) -> str:
-    """Say what the figures of tables are: intervals and bold rows only where there are some."""
-    if not any(entry.told for table in tables for entries in table.rows.values() for entry in entries):
+    """Legend of tables; intervals and bold rows are explained only where there are some."""
+    if not any(entry.finite_interval for table in tables for entries in table.rows.values() for entry in entries):
         return (
             "Means. There are too few photos or motions for intervals, and for a paired test that would make the best "
             "bold."
@@ -63,7 +63,7 @@ def markdown_table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 
 def machines_markdown(machines: Sequence[Mapping[str, Any]]) -> str:
-    """Tell in a list of Markdown where figures were made: hardware, system and the versions of all packages."""
+    """Markdown list of the machines that made the figures: hardware, system and package versions."""
     lines = []
     for machine in machines:
         versions = ", ".join(f"{name} {found}" for name, found in machine["versions"].items() if found)
@@ -102,7 +102,7 @@ def tables_csv(tables: Sequence[Table]) -> str:
 def tables_json(
     tables: Sequence[Table], *, command: str, seed: int, machines: Sequence[Mapping[str, Any]], warnings: Sequence[str]
 ) -> str:
-    """Lay out tables as JSON (schema ``cep.bench/1``) with all that tells how they were made.
+    """Lay out tables as JSON (schema ``cep.bench/1``) with command, seed, machines and warnings.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Tables of a benchmark: mean and interval per row and figure, bold only where a paired test says so."""
+"""Benchmark tables: mean and interval per row and figure; the best row is bold if a paired test confirms it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from cep.bench.statistics import Interval, Summary, crossed_interval, mean_interval, summed_up
+from cep.bench.statistics import Interval, Summary, crossed_interval, mean_interval, summarized
 from cep.jobs.cells import Figure
 
 __all__ = ["Column", "Entry", "Table", "differences", "tabulate"]
@@ -28,14 +28,14 @@ class Column:
     figure : str
         Its key in the figures of a cell.
     head : str
-        What people read, with the unit.
+        Column heading, with the unit.
     better : "high", "low" or None
         Which row may be bold; None: no row.
     digits : int
         Decimals.
     middle : {"mean", "median", "share"}
-        What is shown. The median where some cells are infinite, the share of cells where they are 0 or 1; these have no
-        interval and are never bold.
+        Statistic shown. The median where some cells are infinite, the share of cells where they are 0 or 1; these
+        have no interval and are never bold.
     """
 
     figure: str
@@ -73,8 +73,8 @@ class Entry:
     bold: bool = False
 
     @property
-    def told(self) -> Interval | None:
-        """The interval where there is evidence for one: a single photo or motion leaves it infinite."""
+    def finite_interval(self) -> Interval | None:
+        """The interval if it is finite; that of a single photo or motion is infinite."""
         return self.interval if self.interval is not None and math.isfinite(self.interval.high) else None
 
 
@@ -97,7 +97,7 @@ class Table:
 
     @property
     def head(self) -> tuple[str, ...]:
-        """What stands above the lines."""
+        """Headings of the columns."""
         return ("", *(column.head for column in self.columns), "n")
 
     def lines(self, mark: tuple[str, str] = ("", "")) -> list[tuple[str, ...]]:
@@ -106,7 +106,7 @@ class Table:
         Parameters
         ----------
         mark : (str, str)
-            What stands before and after a bold figure: ``("[bold]", "[/bold]")`` for :func:`cep.cli.console.table`.
+            Marks before and after a bold figure: ``("[bold]", "[/bold]")`` for :func:`cep.cli.console.table`.
         """
         return [
             (
@@ -143,14 +143,14 @@ def tabulate(
     row : int
         Which label is the row.
     cluster : int or (int, int)
-        Which label cells share, as a photo: evidence is counted by it. Two where every photo has the same motions.
+        Label that dependent cells share, such as the photo. Two labels where every photo has the same motions.
     level : float
         Of the intervals and tests.
 
     Raises
     ------
     ValueError
-        If a name has too few labels, or a column shows what is no number.
+        If a name has too few labels, or a column has a value that is no number.
     """
     shared = (cluster,) if isinstance(cluster, int) else cluster
     if row in shared:
@@ -167,7 +167,7 @@ def tabulate(
             interval = None
             if values and column.middle == "mean" and all(map(math.isfinite, values.values())):
                 interval = _interval(values, shared, rng, level)
-            entries[label] = Entry(summed_up(values.values()), interval)
+            entries[label] = Entry(summarized(values.values()), interval)
         if column.better is not None and column.middle == "mean":
             entries |= _best(by_row, entries, column.better, shared, rng, level)
         for label in labels:
@@ -177,13 +177,13 @@ def tabulate(
 
 
 def differences(figures: Figures, reference: str, *, row: int = 0) -> dict[Name, dict[str, Figure]]:
-    """Take every row from the reference row, pair by pair; a figure that one of them lacks is None.
+    """Differences of the reference row from every row, pair by pair; a figure that one of them lacks is None.
 
     Parameters
     ----------
     figures : mapping from the names of cells
     reference : str
-        Label of the row that others are taken from.
+        Label of the row that the others are subtracted from.
     row : int
 
     Raises
@@ -263,6 +263,6 @@ def _in_words(entry: Entry, column: Column, cells: int, mark: tuple[str, str]) -
     digits = column.digits
     text = f"{column.shown(entry):.{digits}f}"
     text = f"{mark[0]}{text}{mark[1]}" if entry.bold else text
-    if (told := entry.told) is not None:
-        text += f" ({told.low:.{digits}f}..{told.high:.{digits}f})"
+    if (interval := entry.finite_interval) is not None:
+        text += f" ({interval.low:.{digits}f}..{interval.high:.{digits}f})"
     return text if entry.summary.n == cells else f"{text}, {entry.summary.n} of {cells}"

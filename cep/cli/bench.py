@@ -155,12 +155,12 @@ def speed_job(
     """Plan the speed table; the parameters are the options of :func:`speed`."""
     from cep.bench.blind.methods import UNUSUAL
     from cep.bench.blind.report import outputs, speed_tables, write_report
-    from cep.bench.blind.run import one_each
+    from cep.bench.blind.run import one_cell_each
     from cep.io.outputs import claim_folder
 
     claim_folder(output, outputs("speed"), force=force)
     names, whole = _plan(data, protocol, methods, gyro, quick)
-    plan = one_each(whole)
+    plan = one_cell_each(whole)
     title = f"One estimate from a photo of {plan.protocol.crop_px} px, {plan.protocol.name}"
     command = _command("speed", data, protocol, methods, gyro, quick)
 
@@ -181,17 +181,17 @@ def speed_job(
 def _plan(
     data: Path | None, protocol: str, methods: str, gyro: Path | None, quick: bool
 ) -> tuple[tuple[str, ...], Plan]:
-    from cep.bench.blind.methods import chosen, label_of
+    from cep.bench.blind.methods import label_of, select_methods
     from cep.bench.blind.protocol import Protocol
-    from cep.bench.blind.run import planned
+    from cep.bench.blind.run import blind_plan
     from motdiff.io.gyro_tables import read_gyro
 
     loaded = Protocol.load(protocol, quick=quick)
     if gyro is not None and loaded.motion.gyro == 0:
         raise ValueError(f"--gyro: the protocol {loaded.name} has no hand shake, it would change nothing")
     trace = None if gyro is None else read_gyro(gyro)
-    names, warnings = chosen([name.strip() for name in methods.split(",")] if methods else [])
-    plan = planned(loaded, names, folder=data, trace=trace)
+    names, warnings = select_methods([name.strip() for name in methods.split(",")] if methods else [])
+    plan = blind_plan(loaded, names, folder=data, trace=trace)
     return tuple(map(label_of, names)), replace(plan, warnings=(*warnings, *plan.warnings))
 
 

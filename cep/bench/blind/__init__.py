@@ -1,1 +1,1 @@
-"""The blind table: every estimator on the same blurred photos, beside kernels that know nothing or everything."""
+"""Table of blind estimators on the same blurred photos, beside trivial kernels (floors) and true ones (ceilings)."""

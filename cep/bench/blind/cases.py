@@ -1,4 +1,4 @@
-"""The photos of a blind table: taken of sharp scenes, or real ones, with what is known of them."""
+"""Photos of the blind table: simulated from sharp scenes, or real ones with sharp references or kernels."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from motdiff.evaluation.sets import Case, levin_photo
 from motdiff.simulate import border_px, photograph, visible
 from motdiff.trajectory import Trajectory
 
-__all__ = ["RealPhoto", "Shot", "check_real", "real_pair", "real_photos", "shot_of", "taken"]
+__all__ = ["RealPhoto", "Shot", "check_real", "make_case", "real_pair", "real_photos", "shot_of"]
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Shot:
-    """How one photo is taken of a sharp scene.
+    """Settings of one simulated photo of a sharp scene.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Shot:
 
 
 def shot_of(protocol: Protocol, label: str, motion: int, photons: float | None) -> Shot:
-    """Say how a protocol takes photo ``label`` with a motion; other photos and motions change nothing about it."""
+    """Return the settings of photo ``label`` with a motion in a protocol; independent of other photos and motions."""
     name = tuple(label.encode())
     return Shot(
         protocol.crop_px,
@@ -60,8 +60,8 @@ def shot_of(protocol: Protocol, label: str, motion: int, photons: float | None) 
     )
 
 
-def taken(photo: Path, motion: Trajectory, shot: Shot) -> Case:
-    """Take the photo: crop the scene, blur it, add noise, clip it to 0..1.
+def make_case(photo: Path, motion: Trajectory, shot: Shot) -> Case:
+    """Simulate the photo: crop the scene, blur it, add noise, clip it to 0..1.
 
     Raises
     ------
@@ -107,8 +107,8 @@ class RealPhoto:
 def real_photos(folder: Path | str, count: int) -> tuple[RealPhoto, ...]:
     """List photos with real blur, at most ``count`` of them, evenly chosen; empty where the folder has another layout.
 
-    Levin's come with sharp photos and kernels, RSBlur's with sharp photos, Koehler's with sharp frames or, as they are
-    spread with PMP, with nothing.
+    Levin's have sharp photos and kernels, RSBlur's sharp photos, Koehler's sharp frames; Koehler's photos as
+    distributed with PMP have neither.
 
     Raises
     ------

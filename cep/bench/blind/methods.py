@@ -1,4 +1,4 @@
-"""Which estimators a blind table has, and when what was measured of one counts no longer."""
+"""Estimators of the blind table: their names, labels, and cache versions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from motdiff.evaluation.methods import METHODS, named_estimators
 from motdiff.io.plugins import is_reference
 from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS, PSF_WEIGHTS
 
-__all__ = ["OURS", "SMALL_BUDGETS", "UNUSUAL", "USUAL", "budget_warning", "chosen", "label_of", "version_of"]
+__all__ = ["OURS", "SMALL_BUDGETS", "UNUSUAL", "USUAL", "budget_warning", "label_of", "select_methods", "version_of"]
 
 USUAL = ("pmp", "motdiff", "motdiff-quick", "network", "parametric", "psf-diffusion")
 """Estimators of every table."""
@@ -50,13 +50,13 @@ _TAKING = (
 """Modules that take and measure a photo; what else they import has no part in it, or is followed."""
 
 
-def chosen(names: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
-    """Choose the estimators to measure: those named, or the usual ones whose weights are there.
+def select_methods(names: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
+    """Select the estimators to measure: those named, or the default ones whose weights are there.
 
     Returns
     -------
     names : tuple of str
-    warnings : list of str, one for each usual one that is left out
+    warnings : list of str, one for each default one that is left out
 
     Raises
     ------
@@ -78,7 +78,7 @@ def chosen(names: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
 
 
 def budget_warning(methods: Iterable[str]) -> str | None:
-    """Say that trained baselines among ``methods`` had less training than MoTDiff; None where there is none."""
+    """Warning that trained baselines among ``methods`` had less training than MoTDiff; None where there is none."""
     names = {method.split(":")[0] for method in methods}
     if not (small := [f"{name} {samples:,}" for name, samples in SMALL_BUDGETS.items() if name in names]):
         return None
@@ -89,13 +89,13 @@ def budget_warning(methods: Iterable[str]) -> str | None:
 
 
 def label_of(method: str) -> str:
-    """Name a method in tables: a folder of weights by its own name, without where it lies."""
+    """Label of a method in tables: a folder of weights by its own name, without its path."""
     folder = _folder(method)
     return f"{method.partition(':')[0]}:{Path(folder).name}" if folder else method
 
 
 def version_of(method: str) -> str:
-    """Fingerprint of all that makes a method's figures: its code, its weights, and the code that measures it.
+    """Cache version of a method: fingerprint of its code, its weights, and the code that measures it.
 
     Parameters
     ----------
@@ -127,6 +127,6 @@ def _folder(method: str) -> str:
 
 
 def _found_from_anywhere(method: str) -> str:
-    """Spell a folder of weights so that workers, which may have another current folder, find it."""
+    """Absolute form of a method with a folder of weights: workers may have another current folder."""
     folder = _folder(method)
     return f"{method.partition(':')[0]}:{Path(folder).absolute()}" if folder else method

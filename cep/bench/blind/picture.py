@@ -1,4 +1,4 @@
-"""Blind estimates to look at: photo, blurred photo, and what each method makes of it, kernels in the corners."""
+"""Figure of blind estimates: photo, blurred photo, and each method's restoration with its kernel in the corner."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.bench.blind.cases import RealPhoto, real_pair, taken
+from cep.bench.blind.cases import RealPhoto, make_case, real_pair
 from cep.bench.blind.work import measure_levin, measure_simulated, psf_from_text
 from cep.jobs.cells import Cell, Result
 from cep.plots.canvas import new_figure, show_inset, show_photo
@@ -35,7 +35,7 @@ _INSET = 0.34
 
 @dataclass(frozen=True)
 class Shown:
-    """One line of the figure.
+    """One row of the figure.
 
     Attributes
     ----------
@@ -44,9 +44,9 @@ class Shown:
     truth : (S, S) float or None
         The true kernel.
     kernels : mapping from method to (S, S) float
-    scores : mapping from method to what is written below
+    scores : mapping from method to the caption below its picture
     gamma : {"linear", "srgb"}
-        "linear" where code values were taken for light: they are shown as they are.
+        "linear" where code values were used as light: they are shown unchanged.
     """
 
     sharp: FloatArray | None
@@ -58,7 +58,7 @@ class Shown:
 
 
 def shown(results: Sequence[Result], *, methods: Sequence[str], most: int = 4) -> list[Shown]:
-    """Choose the lines of a figure: one motion of each of the first photos; photos are taken again for it.
+    """Select the rows of a figure: one motion of each of the first photos, which are simulated again.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def shown(results: Sequence[Result], *, methods: Sequence[str], most: int = 4) -
     methods : sequence of str
         The columns.
     most : int
-        Lines at most.
+        Rows at most.
     """
     by_photo: dict[str, dict[tuple[str, str], dict[str, Result]]] = {}
     for result in results:
@@ -133,7 +133,7 @@ def _photos(cell: Cell) -> tuple[FloatArray | None, FloatArray, FloatArray | Non
     given = cell.arguments
     if cell.work in (measure_simulated, measure_levin):
         levins = cell.work is measure_levin
-        case = levin_photo(given["photo"]) if levins else taken(given["photo"], given["motion"], given["shot"])
+        case = levin_photo(given["photo"]) if levins else make_case(given["photo"], given["motion"], given["shot"])
         return case.sharp, case.photo, case.psf
     photo = RealPhoto("", "", given["blurred"], given["sharp"])
     blurred, sharp = real_pair(photo, crop_px=given["crop_px"], gamma=given["gamma"], crop_seed=given["crop_seed"])
@@ -141,7 +141,7 @@ def _photos(cell: Cell) -> tuple[FloatArray | None, FloatArray, FloatArray | Non
 
 
 def _gamma(cell: Cell) -> str:
-    """Return what was done with code values; Levin's are light."""
+    """Return the gamma of a result's photo; Levin's photos are linear."""
     if cell.work is measure_simulated:
         return str(cell.arguments["shot"].gamma)
     return str(cell.arguments.get("gamma", "srgb"))

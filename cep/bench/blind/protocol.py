@@ -1,4 +1,4 @@
-"""Protocols of the blind table: what is photographed, how, and how often, as TOML files."""
+"""Protocols of the blind table: photos, motions, light levels and repetitions, as TOML files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FOLDER = Path(__file__).parent
 
 @dataclass(frozen=True)
 class Motions:
-    """Which motions are drawn.
+    """Distribution of the simulated motions.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Motions:
 
 @dataclass(frozen=True)
 class Protocol:
-    """What is measured on; photos are restored as :data:`motdiff.evaluation.measure.RESTORATION` says.
+    """Photos of a blind table; they are restored as in :data:`motdiff.evaluation.measure.RESTORATION`.
 
     Attributes
     ----------
@@ -74,13 +74,13 @@ class Protocol:
     psf_px : int, px
         Frame that every motion fits.
     real_photos : int
-        Most photos used of a folder with real blur.
+        Largest number of photos used from a folder with real blur.
     borders : {"symmetric", "real"}
         The scene is mirrored at the photo's border, or light comes from beyond it.
     gamma : {"linear", "srgb"}
-        Whether code values are taken for light, or turned into it.
+        Whether code values are used as light, or decoded to it.
     light_photons : tuple of float, photo-electrons
-        Light levels: what full scale stands for. Without one there is no noise.
+        Light levels: photo-electrons at full scale. Without one there is no noise.
     read_noise_e : float, electrons
         Standard deviation of the read noise at every level.
     seed : int
@@ -221,7 +221,7 @@ def drawn_shakes(protocol: Protocol, trace: GyroTrace | None = None, *, stream: 
     trace : GyroTrace, optional
         Recording for the hand shake; :func:`synthetic_trace` when omitted.
     stream : int
-        Others of the same kind.
+        Number of an independent random stream with the same distribution.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def drawn_shakes(protocol: Protocol, trace: GyroTrace | None = None, *, stream: 
 
 
 def synthetic_trace(seed: int = 0) -> GyroTrace:
-    """Make angular rates that resemble a hand's: noise of 1 to 12 Hz, 0.1 rad/s rms, one minute at 200 Hz."""
+    """Synthetic hand shake: angular rates as noise of 1 to 12 Hz, 0.1 rad/s rms, one minute at 200 Hz."""
     rng = np.random.default_rng(seed)
     count = round(_DURATION_S * _RATE_HZ)
     freq_hz = np.fft.rfftfreq(count, 1 / _RATE_HZ)

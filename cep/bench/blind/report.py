@@ -1,4 +1,4 @@
-"""What a blind or speed table leaves behind: tables for people and programs, every cell, and a figure."""
+"""Report of a blind or speed table: Markdown, CSV and JSON tables, every cell, and a figure."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ def write_report(
     command : str
         What makes them again.
     warnings : sequence of str
-        All of them, the plan's too.
+        All warnings, the plan's included.
     pictured : sequence of methods
     unmeasured : mapping from method to reason
-        Told of, with those of which every cell failed.
+        Listed in the report, with the methods of which every cell failed.
     force : bool
         Whether existing files may be replaced.
 
@@ -120,7 +120,7 @@ def _introduction(
 
 
 def _counts(plan: Plan) -> str:
-    """Count what is photographed; a folder may hold less than the protocol asks for."""
+    """Count photos and motions; a folder may hold fewer than the protocol asks for."""
     photos, motions, taken = (len({cell.name[place] for cell in plan.cells}) for place in (1, 2, slice(1, 3)))
     if not any("motion" in cell.arguments for cell in plan.cells):
         return f"{_number(taken, 'photo')} with real blur, of {_number(photos, 'scene')}"
@@ -210,7 +210,7 @@ def cells_csv(figures: Figures, failures: Mapping[tuple[str, ...], str]) -> str:
 
 
 def _table(title: str, figures: Figures, columns: Sequence[Column], seed: int) -> Table:
-    # a column that no cell has, such as PSNR without a sharp photo, says nothing
+    # leave out a column that no cell has, such as PSNR without a sharp photo
     used = [column for column in columns if any(own.get(column.figure) is not None for own in figures.values())]
-    # every photo has the same motions, so neither alone is evidence
+    # every photo has the same motions: cluster by both
     return tabulate(title, figures, used, rng=np.random.default_rng(seed), row=0, cluster=(1, 2))

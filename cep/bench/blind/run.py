@@ -1,4 +1,4 @@
-"""What a blind table measures: a cell for every photo, motion, light level and method."""
+"""Plan of a blind table: one cell for every photo, motion, light level and method."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cep.jobs.cells import Cell
 from motdiff.evaluation.floors import mean_psf
 from motdiff.gyro import GyroTrace
 
-__all__ = ["Plan", "one_each", "planned"]
+__all__ = ["Plan", "blind_plan", "one_cell_each"]
 
 _OTHERS, _OTHER_STREAM = 200, 1
 _BLIND = ("delta", "gaussian")
@@ -29,7 +29,7 @@ _REAL: dict[Layout, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be measured.
+    """Cells of a blind table, and what they share.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Plan:
     lights : tuple of str
         Names of the light levels, a table each.
     warnings : tuple of str
-        What keeps the figures from being a claim.
+        Reasons why the figures are no sound comparison.
     """
 
     protocol: Protocol
@@ -48,16 +48,16 @@ class Plan:
     warnings: tuple[str, ...] = ()
 
 
-def planned(
+def blind_plan(
     protocol: Protocol, methods: Sequence[str], *, folder: Path | None = None, trace: GyroTrace | None = None
 ) -> Plan:
-    """List the cells of a blind table, those of one photo and motion side by side: a run that is stopped has pairs.
+    """List the cells of a blind table, ordered by photo and motion: an interrupted run has complete pairs.
 
     Parameters
     ----------
     protocol : Protocol
         Of photos with real blur (see :func:`cep.bench.blind.cases.real_photos`) only ``real_photos``, ``crop_px``,
-        ``gamma`` and ``seed`` count: their motion and noise are what they are.
+        ``gamma`` and ``seed`` count: their motion and noise are given.
     methods : sequence of str
         Estimators.
     folder : Path, optional
@@ -68,7 +68,7 @@ def planned(
     Raises
     ------
     ValueError
-        If the folder holds nothing of use, or a photo is too small.
+        If the folder holds no usable photo, or a photo is too small.
     """
     if folder is not None and (photos := real_photos(folder, protocol.real_photos)):
         plan = _of_real(protocol, methods, layout_of(folder), photos)
@@ -78,7 +78,7 @@ def planned(
     return plan if budgets is None else replace(plan, warnings=(*plan.warnings, budgets))
 
 
-def one_each(plan: Plan) -> Plan:
+def one_cell_each(plan: Plan) -> Plan:
     """Keep one cell per photo and estimator, each photo with another motion, at the first light level."""
     photos = list(dict.fromkeys(cell.name[1] for cell in plan.cells))
     shakes = {photo: list(dict.fromkeys(c.name[2] for c in plan.cells if c.name[1] == photo)) for photo in photos}
@@ -96,7 +96,7 @@ def _of_real(protocol: Protocol, methods: Sequence[str], layout: Layout, photos:
     light, floors, ceilings = _REAL[layout]
     check_real(photos, protocol.crop_px)
     if layout != "levin" and photos[0].sharp is None:
-        floors = ()  # nothing could be said of a kernel without a photo to look at
+        floors = ()  # without a sharp photo a kernel cannot be evaluated
     versions = {method: version_of(method) for method in (*floors, *methods, *ceilings)}
     cells = [_real_cell(protocol, layout, photo, method, versions[method]) for photo in photos for method in versions]
     return Plan(protocol, tuple(cells), (light,))

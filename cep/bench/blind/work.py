@@ -1,4 +1,4 @@
-"""The work of one cell of the blind table: one method on one photo."""
+"""One cell of the blind table: one method measured on one photo."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.bench.blind.cases import RealPhoto, Shot, real_pair, taken
+from cep.bench.blind.cases import RealPhoto, Shot, make_case, real_pair
 from cep.jobs.cells import Figure
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
@@ -32,7 +32,7 @@ from motdiff.trajectory import Trajectory
 __all__ = [
     "CEILINGS",
     "FLOORS",
-    "Watched",
+    "TimedEstimator",
     "measure_levin",
     "measure_real",
     "measure_simulated",
@@ -48,13 +48,13 @@ FLOORS = ("delta", "gaussian", "mean-kernel")
 CEILINGS = ("best-quadratic", "true-path", "true-kernel")
 """Kernels that know all: what a quadratic path, a path without dwell, and the restoration can reach."""
 
-_FARTHEST_PX = 10.0  # a blind kernel may lie anywhere, and where the true one lies is not known of real photos
+_FARTHEST_PX = 10.0  # a blind kernel may be shifted, and in real photos the position of the true one is unknown
 
 
 def measure_simulated(
     *, method: str, photo: Path, motion: Trajectory, shot: Shot, mean: FloatArray | None = None
 ) -> dict[str, Figure]:
-    """Take a photo of a sharp scene, estimate its motion and restore it.
+    """Simulate a photo of a sharp scene, estimate its motion and restore it.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def measure_simulated(
     ValueError
         If the estimator finds no motion, or the file is no photo.
     """
-    return _measured(method, taken(photo, motion, shot), mean)
+    return _measured(method, make_case(photo, motion, shot), mean)
 
 
 def measure_levin(*, method: str, photo: Path) -> dict[str, Figure]:
@@ -87,7 +87,7 @@ def measure_levin(*, method: str, photo: Path) -> dict[str, Figure]:
 def measure_real(
     *, method: str, blurred: Path, sharp: Path | None, crop_px: int, gamma: str, crop_seed: tuple[int, ...]
 ) -> dict[str, Figure]:
-    """Estimate the motion in a real photo and restore it; nobody knows the kernel.
+    """Estimate the motion in a real photo of unknown kernel, and restore it.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def measure_real(
     case = Case(blurred.stem, photo, floors()["delta"])
     with one_thread():
         figures = _of_estimator(method, case, restore=False) if known is None else {"psf": psf_to_text(known)}
-        # these compare with a kernel, and there is none
+        # figures that need a true kernel
         figures |= dict.fromkeys(("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim"))
         if target is not None:
             image, grey = restored(luminance(photo), psf_from_text(str(figures["psf"]))), luminance(target)
@@ -169,12 +169,12 @@ def _known(method: str, case: Case, mean: FloatArray | None) -> FloatArray | Non
 
 @lru_cache(maxsize=8)
 def _best_quadratic(t: bytes, xy: bytes) -> FloatArray:
-    """Search once for the photos of one motion, which come one after the other."""
+    """Best quadratic path of a motion, searched once for its consecutive photos."""
     return quadratic_kernel(Trajectory(np.frombuffer(t), np.frombuffer(xy).reshape(-1, 2)))
 
 
 def _of_estimator(method: str, case: Case, *, restore: bool) -> dict[str, Figure]:
-    watched = Watched(_estimator(method))
+    watched = TimedEstimator(_estimator(method))
     measured = measure_estimator("", case, method, watched, restore=restore)
     if measured.row.failure:
         raise ValueError(measured.row.failure)
@@ -195,15 +195,15 @@ _CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
 
 
 @dataclass
-class Watched:
-    """An estimator with a look at what its last estimate cost.
+class TimedEstimator:
+    """An estimator that records the time and memory of its last estimate.
 
     Attributes
     ----------
     estimator : Estimator
     wall_s : float or None, seconds
     memory_mib : float or None, MiB
-        Most that the process has held at once, above what it held before; Linux only.
+        Peak memory of the process during the estimate, above its memory before; Linux only.
     """
 
     estimator: Estimator
@@ -223,7 +223,7 @@ class Watched:
 
 
 def _give_back() -> None:
-    """Return freed memory to the system, as glibc can: kept for later, it would hide what the next estimate needs."""
+    """Return freed memory to the system (glibc only): kept, it would hide the need of the next estimate."""
     gc.collect()
     try:
         ctypes.CDLL(None).malloc_trim(0)

@@ -1,1 +1,1 @@
-"""The coded-exposure table: every way to choose a code, on the same photos, motions, light and restoration."""
+"""Table of code designs on the same photos, motions, light levels and restoration."""

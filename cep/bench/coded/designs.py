@@ -1,4 +1,4 @@
-"""Who chooses the code: nobody, the light alone, the length of the path, published tables, or a search along a path."""
+"""Code designs of the table, and the motion prior that each one has: none, the length, an estimate, or the truth."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cep.search.recipe import search_code
 from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
-__all__ = ["DESIGNS", "Design", "Known", "designed"]
+__all__ = ["DESIGNS", "Design", "MotionPrior", "design_code"]
 
 
 @dataclass(frozen=True)
@@ -30,16 +30,15 @@ class Design:
     label : str
         For people.
     path : {"none", "length", "ours", "parametric", "parametric oracle", "true"}
-        What it knows of the motion: nothing, the true length, an estimate, the best quadratic path for the truth, or
-        the truth.
+        Motion prior: none, the true length, an estimate, the best quadratic path for the truth, or the truth.
     """
 
     label: str
     path: str
 
     @property
-    def knows_truth(self) -> bool:
-        """Whether it is told what no camera could know: such rows are limits, not rivals."""
+    def uses_truth(self) -> bool:
+        """Whether its prior is the true motion, which no camera has: such rows are limits, not rivals."""
         return self.path in ("true", "parametric oracle")
 
 
@@ -64,17 +63,17 @@ _RANDOM_CODES = 15
 
 
 @dataclass(frozen=True)
-class Known:
-    """What a design is told of the motion: paths with weights, or only its length, px."""
+class MotionPrior:
+    """Motion prior of a design: paths with weights, or only the length, px."""
 
     paths: tuple[Trajectory, ...] = ()
     weights: tuple[float, ...] = ()
     length_px: float | None = None
 
 
-def designed(
-    design: str, known: Known, *, chips: int, open_range: tuple[int, int], objective: str, camera: Camera, steps: int,
-    rng: np.random.Generator,
+def design_code(
+    design: str, prior: MotionPrior, *, chips: int, open_range: tuple[int, int], objective: str, camera: Camera,
+    steps: int, rng: np.random.Generator,
 ) -> ShutterCode:  # fmt: skip
     """Choose a code.
 
@@ -82,7 +81,7 @@ def designed(
     ----------
     design : str
         One of :data:`DESIGNS`.
-    known : Known
+    prior : MotionPrior
     chips : int
     open_range : (int, int)
         Fewest and most open chips; snapshots and strobes need not keep it, published codes have their own.
@@ -103,13 +102,13 @@ def designed(
     if design == "dce":
         return DCE_CODE
     if design == "dnf":
-        assert known.length_px is not None
-        return _searched(dnf_problem(known.length_px, chips, open_range=open_range), steps=steps, rng=rng)
+        assert prior.length_px is not None
+        return _searched(dnf_problem(prior.length_px, chips, open_range=open_range), steps=steps, rng=rng)
     if design == "raskar-52":
         return published(design).code
     if design not in DESIGNS:
         raise ValueError(f"design: must be one of {', '.join(DESIGNS)}, got {design!r}")
-    problem = _problem(design, known, chips=chips, open_range=open_range, objective=objective, camera=camera)
+    problem = _problem(design, prior, chips=chips, open_range=open_range, objective=objective, camera=camera)
     if design in ("snapshot", "strobe"):
         best = (best_snapshot if design == "snapshot" else best_strobe)(Objective(problem, oversampling=8))
         if best is None:
@@ -123,25 +122,25 @@ def designed(
 def _searched(problem: SearchProblem, *, steps: int, rng: np.random.Generator) -> ShutterCode:
     found = search_code(problem, rng=rng, steps=steps, time_s=math.inf, threads=1)  # other cells run beside
     if found.stopped == "interrupted":
-        raise KeyboardInterrupt  # the best so far has not had the others' budget, and a cell is kept
+        raise KeyboardInterrupt  # an interrupted search had a smaller budget than the others, and cells are cached
     return found.code
 
 
 def _problem(
-    design: str, known: Known, *, chips: int, open_range: tuple[int, int], objective: str, camera: Camera
+    design: str, prior: MotionPrior, *, chips: int, open_range: tuple[int, int], objective: str, camera: Camera
 ) -> SearchProblem:
-    kept = len(known.paths) if design == "posterior" else 1
+    kept = len(prior.paths) if design == "posterior" else 1
     scenarios = tuple(
         Scenario(path, weight=weight)
-        for path, weight in zip(known.paths[:kept], known.weights[:kept], strict=True)
-        if weight > 0  # an estimator may be sure
+        for path, weight in zip(prior.paths[:kept], prior.weights[:kept], strict=True)
+        if weight > 0  # an estimate may have a known direction
     )
     return SearchProblem(
         chips=chips,
         scenarios=scenarios,
         open_range=open_range,
         objective=objective,
-        direction="forward" if design == "one-way" or DESIGNS[design].knows_truth else "unknown",
+        direction="forward" if design == "one-way" or DESIGNS[design].uses_truth else "unknown",
         rule="mean" if design == "posterior" else "worst",
         camera=camera,
     )

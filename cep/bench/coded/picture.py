@@ -1,4 +1,4 @@
-"""Coded photos to look at, in the paper's layout: photo, coded photo with its code and PSF, restored photo, MTF."""
+"""Figure of coded photos in the paper's layout: photo, coded photo with its code and PSF, restored photo, MTF."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str,
     Parameters
     ----------
     pictured : mapping from design to the arguments of :func:`cep.bench.coded.stages.pictures_of`, at least one
-    scores : mapping from design to what is written below its restored photo
+    scores : mapping from design to the caption below its restored photo
     linear : bool
-        Whether the photo is light, or code values that are shown as they are.
+        Whether the photo is light, or code values, which are shown unchanged.
     """
     names: Sequence[str] = tuple(pictured)
     figure = new_figure(_TILE_IN * (len(names) + 1) + 0.4, 3 * _TILE_IN + 0.9)

@@ -1,4 +1,4 @@
-"""How the coded-exposure table is measured: read from TOML, so that a table says what it is."""
+"""Protocols of the coded-exposure table, as TOML files: photos, motions, codes, light, restoration."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PROTOCOLS = ("paper", "ours")
 """Built in."""
 
 _MOST_PHOTONS = 1e9
-_WHOLE = {  # least and most; of a smaller photo the comparison, 32 px within its borders, would leave next to nothing
+_WHOLE = {  # least and most; the comparison leaves out 32 px at each border
     "photos": (1, 10_000), "motions": (1, 10_000), "crop_px": (80, 4096), "chips": (3, 4096), "bits": (1, 16),
     "steps": (1, 10**12), "border_rounds": (0, 1000), "seed": (0, 2**31),
     "quick_photos": (1, 10_000), "quick_motions": (1, 10_000), "quick_steps": (1, 10**12),
@@ -61,7 +61,7 @@ class CodedProtocol:
         Of the search; see :mod:`cep.search.objective`.
     photons : tuple of float
         Photo-electrons at full scale of each light level, for which codes are searched anew. Empty: no noise but the
-        quantisation, and each photo has the light of the open shutter, as if coding cost none.
+        quantisation, and each photo has the light of the open shutter: coding costs none.
     calibration_photons : float
         Light of the uncoded photo that motions are estimated from; without light levels it is as free of noise as the
         others.
@@ -72,8 +72,8 @@ class CodedProtocol:
     border_rounds : int
         Rounds in which the restoration guesses what lies outside the photo. A blur of 60 px needs dozens.
     restored_by : {"psf", "path", "estimate"}
-        What the restoration is given: the true coded PSF; the true path, whose direction it has to find; or only the
-        path that the code was made for, tried in both directions.
+        Input of the restoration: the true coded PSF; the true path, of unknown direction; or the path that the code
+        was designed for, tried in both directions.
     steps : int
         Moves of every search.
     seed : int
@@ -189,7 +189,7 @@ def coded_protocol(name: str) -> CodedProtocol:
 
 
 def _are(values: object, *kinds: type) -> bool:
-    """Tell whether these are numbers of those types; TOML's true is none."""
+    """Whether these are numbers of those types; TOML's true is none."""
     return isinstance(values, list | tuple) and all(type(value) in kinds for value in values)
 
 
@@ -213,7 +213,7 @@ _MIXED_LENGTHS_PX = (20.0, 60.0)
 
 
 def drawn_motions(protocol: CodedProtocol) -> tuple[Trajectory, ...]:
-    """Draw the protocol's motions; their direction counts as unknown to all but the oracle."""
+    """Draw the protocol's motions; only the oracle uses their direction."""
     rng = np.random.default_rng([protocol.seed, 0])
     if protocol.shakes == "boracchi-foi":
         return tuple(boracchi_foi(rng) for _ in range(protocol.motions))

@@ -1,4 +1,4 @@
-"""What the coded-exposure table leaves behind: tables for people and programs, every photo's figures, and a picture."""
+"""Report of the coded-exposure table: Markdown, CSV and JSON tables, the figures of every photo, and a picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The coded-exposure table measured: three stages of cells, each kept on disk."""
+"""Run of the coded-exposure table in three cached stages: motions, codes, photos."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cep.bench.coded.designs import DESIGNS, Known
+from cep.bench.coded.designs import DESIGNS, MotionPrior
 from cep.bench.coded.protocol import CodedProtocol, drawn_motions, paths_from, paths_to
 from cep.bench.coded.stages import choose_code, motion_of, photo_of
 from cep.bench.datasets import Cut
@@ -30,10 +30,10 @@ __all__ = [
     "code_version",
     "kinds_needed",
     "measure_coded",
+    "motion_prior",
     "motion_version",
     "photo_version",
     "scene_px",
-    "told",
 ]
 
 
@@ -55,7 +55,7 @@ class Shot:
         Of :func:`cep.bench.coded.stages.take_photo`.
     bits : str
     arguments : mapping
-        That :func:`cep.bench.coded.stages.photo_of` was called with.
+        Arguments of :func:`cep.bench.coded.stages.photo_of`.
     """
 
     design: str
@@ -69,7 +69,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class CodedTable:
-    """Everything measured.
+    """All measured figures of the table.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ def measure_coded(
     ----------
     protocol : CodedProtocol
     photos : mapping from a photo's name to its file
-        Sharp; its crop and noise go by the name.
+        Sharp; seeds of its crop and noise depend on the name.
     cache : folder of finished cells
     designs : sequence of names of :data:`cep.bench.coded.designs.DESIGNS`
     workers, dask
@@ -159,8 +159,8 @@ def measure_coded(
     }
 
     versions = {design: code_version(design) for design in designs}
-    known = {
-        (design, photo, index): told(design, truths[index], estimates, photo, index)
+    priors = {
+        (design, photo, index): motion_prior(design, truths[index], estimates, photo, index)
         for design in designs
         for photo, index in keys
     }
@@ -169,15 +169,15 @@ def measure_coded(
             ("code", design, photo, str(index), str(level)),
             choose_code,
             {
-                "known": knows, "design": design, "chips": protocol.chips, "open_range": protocol.open_range,
+                "prior": prior, "design": design, "chips": protocol.chips, "open_range": protocol.open_range,
                 "objective": protocol.objective,
                 "camera": protocol.camera(_designed_for(design, protocol.objective, level)).to_dict(),
                 "steps": protocol.steps, "seed": protocol.seed + index,
             },
             version=versions[design],
         )
-        for (design, photo, index), knows in known.items()
-        if knows is not None
+        for (design, photo, index), prior in priors.items()
+        if prior is not None
         for level in protocol.levels
     ]  # fmt: skip
     codes = stages.run("code", cells)
@@ -220,7 +220,7 @@ def measure_coded(
 
 
 class _Stages:
-    """Runs one stage after the other and keeps what they have to tell."""
+    """Runs the stages one after the other and collects their failures and warnings."""
 
     def __init__(self, cache: Path, workers: int, dask: str | None, progress: Say) -> None:
         self._cache, self._workers, self._dask, self._progress = cache, workers, dask, progress
@@ -250,7 +250,7 @@ def scene_px(protocol: CodedProtocol) -> int:
 
 
 def _cut(protocol: CodedProtocol, photo: str) -> Cut:
-    gamma: Literal["srgb", "linear"] = "srgb" if protocol.photons else "linear"  # the paper takes code values for light
+    gamma: Literal["srgb", "linear"] = "srgb" if protocol.photons else "linear"  # the paper uses code values as light
     return Cut(scene_px(protocol), gamma, (protocol.seed, 5, *photo.encode()))
 
 
@@ -260,7 +260,7 @@ def _designed_for(design: str, objective: str, level: float | None) -> float | N
 
 
 def _seed(protocol: CodedProtocol, photo: str, index: int) -> int:
-    # By the photo's name, not its number: others that are added change nothing, unless two have one name.
+    # By the photo's name, not its number: adding photos changes no seed.
     return int(np.random.SeedSequence([protocol.seed, index, *photo.encode()]).generate_state(1)[0])
 
 
@@ -272,36 +272,36 @@ Estimates = Mapping[tuple[str, str, int], Mapping[str, Figure]]
 
 
 def kinds_needed(protocol: CodedProtocol, designs: Sequence[str]) -> list[str]:
-    """List the kinds of :data:`ESTIMATORS` that designs or their restoration go by."""
+    """List the kinds of :data:`ESTIMATORS` that designs or their restoration need."""
     wanted = {DESIGNS[name].path for name in designs}
     if protocol.restored_by == "estimate":
         wanted |= {_restored_by(name) for name in designs}
     return [kind for kind in ESTIMATORS if kind in wanted]
 
 
-def told(design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int) -> Known | None:
-    """Return what a design knows of a motion; None where its estimate failed."""
+def motion_prior(design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int) -> MotionPrior | None:
+    """Motion prior of a design for one motion; None where its estimate failed."""
     path = DESIGNS[design].path
     if path == "none":
-        return Known()
+        return MotionPrior()
     if path == "length":
-        return Known(length_px=truth.length_px)
+        return MotionPrior(length_px=truth.length_px)
     if path == "true":
-        return Known((truth,), (1.0,))
+        return MotionPrior((truth,), (1.0,))
     if path == "parametric oracle":
-        return Known((nearest_quadratic(truth).trajectory(),), (1.0,))
+        return MotionPrior((nearest_quadratic(truth).trajectory(),), (1.0,))
     figures = estimates[path, photo, index]
-    return Known(*paths_from(str(figures["paths"]))) if figures else None
+    return MotionPrior(*paths_from(str(figures["paths"]))) if figures else None
 
 
 def assumed_path(
     protocol: CodedProtocol, design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int
 ) -> str | None:
-    """Return the path that a restoration goes by; None when it knows the PSF, empty when the estimate failed."""
+    """Path given to the restoration; None when it has the true PSF, empty when the estimate failed."""
     if protocol.restored_by == "psf" or DESIGNS[design].path == "true":
         return None
     if protocol.restored_by == "path":
-        if DESIGNS[design].knows_truth:
+        if DESIGNS[design].uses_truth:
             return None  # its code is made for one direction
         return paths_to([replace(truth, direction="unknown")], [1.0])
     path = _restored_by(design)
@@ -312,7 +312,7 @@ def assumed_path(
 
 
 def _restored_by(design: str) -> str:
-    # who knows nothing, or the length only, of the motion needs an estimate to restore by: the best there is
+    # designs without a path need an estimate for the restoration: the best one
     path = DESIGNS[design].path
     return "ours" if path in ("none", "length") else path
 
@@ -343,18 +343,18 @@ _CHOSEN = {
 
 
 def motion_version(method: str) -> str:
-    """Fingerprint of what estimates a motion: an estimator of :data:`cep.bench.coded.run.ESTIMATORS`."""
+    """Cache version of the motions: fingerprint of an estimator of :data:`cep.bench.coded.run.ESTIMATORS`."""
     module, weights = _ESTIMATED[method]
     used = [module, "motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
     return source_version(used, alone=[*_EXPOSED, "motdiff.evaluation.methods"], files=[weights])
 
 
 def code_version(design: str) -> str:
-    """Fingerprint of what chooses a code: a design of :data:`cep.bench.coded.designs.DESIGNS`."""
+    """Cache version of the codes: fingerprint of a design of :data:`cep.bench.coded.designs.DESIGNS`."""
     return source_version(_CHOSEN.get(design, _SEARCHED), alone=[_PATHS, f"{_HERE}.designs", f"{_HERE}.stages"])
 
 
 def photo_version() -> str:
-    """Fingerprint of what takes, restores and compares a photo."""
+    """Cache version of the photos: fingerprint of capture, restoration and comparison."""
     used = ["cep.restoration", "cep.proofs.measure", "motdiff.metrics", "motdiff.simulate"]
     return source_version(used, alone=_EXPOSED, files=[_DENOISER])

@@ -1,4 +1,4 @@
-"""Third stage of the coded-exposure table, pure functions: the coded photo taken, restored and compared."""
+"""Stages of the coded-exposure table as pure functions: estimate a motion, choose a code, take and restore a photo."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from cep.bench.coded.designs import Known, designed
+from cep.bench.coded.designs import MotionPrior, design_code
 from cep.bench.coded.protocol import paths_from, paths_to
 from cep.bench.datasets import Cut, sharp_scene
 from cep.optics.camera import Camera
@@ -57,13 +57,13 @@ def take_photo(
     motion : str
         True path.
     assumed : str or None
-        Path that the restoration goes by, of unknown direction unless it says otherwise; None: it knows the true PSF.
+        Path given to the restoration, of unknown direction unless stated otherwise; None: the true PSF is given.
     bits : str
     borders : {"real", "symmetric"}
     light_true : bool
         Whether the photo has the code's light, or as much as with an open shutter.
     restoration : str
-        The Wiener filter is told the camera's noise.
+        The Wiener filter has the camera's noise.
     border_rounds : int
         Rounds of reblurring outside the photo's borders.
     camera : mapping
@@ -99,7 +99,7 @@ def _gain_db(metrics: CodeMetrics) -> float:
 
 @dataclass(frozen=True)
 class Taken:
-    """Pictures behind one row of figures: linear light, (H, W), and the true coded PSF, (64, 64)."""
+    """Images behind one row of figures: linear light, (H, W), and the true coded PSF, (64, 64)."""
 
     photo: FloatArray
     psf: FloatArray
@@ -120,13 +120,13 @@ def photographed(
     sensor = Camera.from_dict(camera)
     photo = capture(shown, scale * psf, camera=sensor, rng=rng, borders=borders)
     found = psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
-    # Where a scene lies no photo can tell: run backwards, a short exposure at the end of a straight path is one at its
-    # start, the same PSF elsewhere. Restored with it, the scene is as good and merely displaced.
+    # A photo does not determine the position of its scene: on a straight path a short exposure at the end has the PSF
+    # of one at the start, displaced. Restored with either, the scene has the same quality at another position.
     away_px = _displacement_px(found, psf)
     whole_px = np.round(away_px).astype(int)
     used = scale * moved(found, down_px=whole_px[0], right_px=whole_px[1])
-    told: dict[str, Any] = {"camera": sensor} if restoration == "wiener" else {}
-    restored = restore(photo, used, method=restoration, border_rounds=border_rounds, **told).image
+    options: dict[str, Any] = {"camera": sensor} if restoration == "wiener" else {}
+    restored = restore(photo, used, method=restoration, border_rounds=border_rounds, **options).image
     if (rest_px := whole_px - away_px).any():
         restored = ndimage.shift(restored, rest_px, order=5, mode="nearest")
     restored = np.clip(restored, 0, 1)
@@ -134,7 +134,7 @@ def photographed(
 
 
 def _displacement_px(psf: FloatArray, other: FloatArray) -> FloatArray:
-    """From the centroid of ``psf`` to that of ``other``, (2,): down and right."""
+    """Displacement of the centroid of ``other`` from that of ``psf``, (2,): down and right."""
     of_one, of_other = (np.array(ndimage.center_of_mass(one)) - np.array(one.shape) // 2 for one in (psf, other))
     return np.asarray(of_other - of_one, dtype=np.float64)
 
@@ -146,13 +146,13 @@ def _assumed_psf(photo: FloatArray, path: Trajectory, code: ShutterCode) -> Floa
 
 
 def choose_code(
-    known: Known, *, design: str, chips: int, open_range: tuple[int, int], objective: str, camera: Mapping[str, Any],
-    steps: int, seed: int,
+    prior: MotionPrior, *, design: str, chips: int, open_range: tuple[int, int], objective: str,
+    camera: Mapping[str, Any], steps: int, seed: int,
 ) -> dict[str, float | str]:  # fmt: skip
-    """Choose a code as a design does; returns ``bits`` and ``cpu_s``. See :mod:`cep.bench.coded.designs`."""
+    """Choose the code of a design (:mod:`cep.bench.coded.designs`); returns ``bits`` and ``cpu_s``."""
     started = time.process_time()
-    code = designed(
-        design, known, chips=chips, open_range=open_range, objective=objective, camera=Camera.from_dict(camera),
+    code = design_code(
+        design, prior, chips=chips, open_range=open_range, objective=objective, camera=Camera.from_dict(camera),
         steps=steps, rng=np.random.default_rng([seed, 2]),
     )  # fmt: skip
     return {"bits": code.bits, "duty": code.duty, "cpu_s": time.process_time() - started}
@@ -207,5 +207,5 @@ def photo_of(photo: Path, cut: Cut, **arguments: Any) -> dict[str, float]:
 
 
 def pictures_of(photo: Path, cut: Cut, **arguments: Any) -> Taken:
-    """Take the same photo as :func:`photo_of`, to look at."""
+    """Images of the photo of :func:`photo_of`."""
     return photographed(sharp_scene(photo, cut), **arguments)

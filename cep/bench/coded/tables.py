@@ -1,4 +1,4 @@
-"""What was measured of coded exposure as tables: quality of the photos, noise gain, and how often coding harms."""
+"""Tables of coded exposure: quality of the photos, noise gain, and the share of photos that coding harms."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def coded_tables(measured: CodedTable, *, reference: str = _REFERENCE) -> list[T
     ----------
     measured : CodedTable
     reference : str
-        Design that the others are taken from; left out where it was not measured.
+        Design that differences are taken from; left out where it was not measured.
     """
     tables = []
     for level in measured.protocol.levels:
@@ -63,12 +63,12 @@ def coded_tables(measured: CodedTable, *, reference: str = _REFERENCE) -> list[T
 
 
 def beyond_comparison(measured: CodedTable, design: str) -> bool:
-    """Whether a row is no rival of the others: it knows the truth, or pays nothing for the light that it shuts out.
+    """Whether a row is no rival of the others: its prior is the truth, or the light it blocks costs it nothing.
 
     Where coding costs no light, the shorter an exposure the better, and a snapshot is no code.
     """
     free = not measured.protocol.photons and design in _FREE_LIGHT
-    return free or DESIGNS[design].knows_truth
+    return free or DESIGNS[design].uses_truth
 
 
 def harmed(measured: CodedTable, design: str) -> tuple[int, int]:
@@ -124,7 +124,7 @@ def _table(
     title: str, figures: Mapping[Name, Mapping[str, Figure]], columns: Sequence[Column], measured: CodedTable
 ) -> Table:
     rng = np.random.default_rng([measured.protocol.seed, 4])
-    # every photo is taken with the same motions, so neither alone is evidence
+    # every photo is taken with the same motions: cluster by both
     return tabulate(title, figures, columns, rng=rng, row=0, cluster=(1, 2))
 
 

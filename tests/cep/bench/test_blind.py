@@ -8,12 +8,19 @@ import pytest
 from scipy.io import savemat
 
 from cep.bench.blind import report
-from cep.bench.blind.cases import real_pair, real_photos, shot_of, taken
-from cep.bench.blind.methods import SMALL_BUDGETS, budget_warning, chosen, label_of, version_of
+from cep.bench.blind.cases import make_case, real_pair, real_photos, shot_of
+from cep.bench.blind.methods import SMALL_BUDGETS, budget_warning, label_of, select_methods, version_of
 from cep.bench.blind.protocol import Motions, Protocol, drawn_shakes, synthetic_trace
 from cep.bench.blind.report import blind_tables, cells_csv
-from cep.bench.blind.run import one_each, planned
-from cep.bench.blind.work import Watched, measure_levin, measure_real, measure_simulated, psf_from_text, psf_to_text
+from cep.bench.blind.run import blind_plan, one_cell_each
+from cep.bench.blind.work import (
+    TimedEstimator,
+    measure_levin,
+    measure_real,
+    measure_simulated,
+    psf_from_text,
+    psf_to_text,
+)
 from cep.io.images import read_image, write_image
 from cep.jobs import fingerprint
 from cep.jobs.fingerprint import source_version
@@ -133,7 +140,7 @@ def test_motions_that_cannot_fit_are_refused():
 def test_a_photo_is_its_sharp_scene_blurred(scene, borders, blur):
     protocol = replace(TINY, borders=borders)
     motion = Trajectory.straight(9.0)
-    case = taken(scene, motion, shot_of(protocol, "scene", 0, None))
+    case = make_case(scene, motion, shot_of(protocol, "scene", 0, None))
     assert case.photo.shape == case.sharp.shape == (96, 96)
     assert case.trajectory is motion
     assert case.psf.shape == (32, 32)
@@ -153,17 +160,21 @@ def test_a_photo_is_its_sharp_scene_blurred(scene, borders, blur):
 
 def test_noise_is_that_of_the_light_and_the_sensor(scene):
     motion = Trajectory.straight(9.0)
-    clean = taken(scene, motion, shot_of(TINY, "scene", 0, None)).photo
-    noisy = taken(scene, motion, shot_of(replace(TINY, read_noise_e=6.0, light_photons=(400.0,)), "scene", 0, 400.0))
+    clean = make_case(scene, motion, shot_of(TINY, "scene", 0, None)).photo
+    noisy = make_case(
+        scene, motion, shot_of(replace(TINY, read_noise_e=6.0, light_photons=(400.0,)), "scene", 0, 400.0)
+    )
     expected = clean.mean() / 400 + (6 / 400) ** 2
     assert (noisy.photo - clean).var() == pytest.approx(expected, rel=0.06)  # 9216 pixels: sd 1.5 %
-    other = taken(scene, motion, shot_of(replace(TINY, read_noise_e=6.0, light_photons=(400.0,)), "scene", 1, 400.0))
+    other = make_case(
+        scene, motion, shot_of(replace(TINY, read_noise_e=6.0, light_photons=(400.0,)), "scene", 1, 400.0)
+    )
     assert abs(np.corrcoef((noisy.photo - clean).ravel(), (other.photo - clean).ravel())[0, 1]) < 0.05
 
 
 def test_every_motion_meets_the_same_crop(scene):
     shots = [shot_of(replace(TINY, motions=n), "scene", i, None) for n, i in ((1, 0), (5, 3))]
-    sharp = [taken(scene, Trajectory.straight(5.0 + i), shot).sharp for i, shot in enumerate(shots)]
+    sharp = [make_case(scene, Trajectory.straight(5.0 + i), shot).sharp for i, shot in enumerate(shots)]
     np.testing.assert_array_equal(*sharp)
 
 
@@ -199,7 +210,7 @@ def test_levins_photos_come_with_their_kernels(tmp_path):
     knows, not_at_all = (measure_levin(method=method, photo=photos[0].blurred) for method in ("true-kernel", "delta"))
     assert knows["mnc"] == pytest.approx(1.0)
     assert knows["psnr_db"] > not_at_all["psnr_db"] + 2
-    plan = planned(TINY, ["pmp"], folder=tmp_path)
+    plan = blind_plan(TINY, ["pmp"], folder=tmp_path)
     assert [cell.name for cell in plan.cells[:4]] == [
         (method, "im01", "ker01", "Levin's real shakes") for method in ("delta", "gaussian", "pmp", "true-kernel")
     ]
@@ -231,14 +242,14 @@ def test_pairs_must_be_pairs(tmp_path):
 def test_koehlers_photos_have_no_truth(tmp_path):
     for name in ("Blurry1_1.png", "Blurry1_2.png"):
         write_image(tmp_path / name, np.random.default_rng(0).random((100, 100)))
-    plan = planned(TINY, ["pmp"], folder=tmp_path)
+    plan = blind_plan(TINY, ["pmp"], folder=tmp_path)
     assert [cell.name[:3] for cell in plan.cells] == [("pmp", "Blurry1", "1"), ("pmp", "Blurry1", "2")]
     assert all(cell.arguments["sharp"] is None for cell in plan.cells)
 
 
 def test_real_photos_are_counted_with_their_scenes(tmp_path):
     write_levin(tmp_path)
-    assert report._counts(planned(TINY, ["pmp"], folder=tmp_path)) == "2 photos with real blur, of 1 scene"
+    assert report._counts(blind_plan(TINY, ["pmp"], folder=tmp_path)) == "2 photos with real blur, of 1 scene"
 
 
 def test_a_file_that_is_no_mat_file_is_named(tmp_path):
@@ -282,7 +293,7 @@ def test_an_estimators_cost_is_its_own():
         def estimate(self, photo):
             return SimpleNamespace(sum=float(np.ones((300, 2**17)).sum()) + photo)  # 300 MiB, given back
 
-    watched = Watched(Hungry())
+    watched = TimedEstimator(Hungry())
     assert watched.estimate(1.0).sum == 300 * 2**17 + 1
     assert watched.wall_s > 0
     if watched.memory_mib is None:
@@ -355,13 +366,13 @@ def test_a_folder_of_weights_counts_by_its_content_and_is_named_without_its_plac
 
 def test_methods_are_checked_before_the_work(monkeypatch, tmp_path):
     with pytest.raises(ValueError, match="method: must be one of"):
-        chosen(["guess"])
+        select_methods(["guess"])
     with pytest.raises(ValueError, match="methods: every one must come once, pmp comes twice"):
-        chosen(["pmp", "pmp"])
+        select_methods(["pmp", "pmp"])
     monkeypatch.setattr("cep.bench.blind.methods._WEIGHTS", {"parametric": tmp_path / "none.safetensors"})
     with pytest.raises(ValueError, match=r"parametric has no weights in this package \(none\.safetensors is missing\)"):
-        chosen(["parametric"])
-    names, warnings = chosen([])
+        select_methods(["parametric"])
+    names, warnings = select_methods([])
     assert names == ("pmp", "motdiff", "motdiff-quick", "network", "psf-diffusion")
     assert warnings == ["parametric is left out: none.safetensors is not in this package"]
 
@@ -444,16 +455,16 @@ def test_speed_takes_one_motion_per_photo(tmp_path, monkeypatch):
     for name in ("a.png", "b.png", "c.png"):
         write_image(tmp_path / name, np.random.default_rng(0).random((100, 100)))
     protocol = replace(TINY, photos=3, light_photons=(1000.0, 100.0))
-    plan = planned(protocol, ["pmp"], folder=tmp_path)
+    plan = blind_plan(protocol, ["pmp"], folder=tmp_path)
     assert len(plan.cells) == 3 * 2 * 2 * (3 + 1 + 3)
-    assert [cell.name[:3] for cell in one_each(plan).cells] == [
+    assert [cell.name[:3] for cell in one_cell_each(plan).cells] == [
         ("pmp", "a", "0000"), ("pmp", "c", "0000"), ("pmp", "b", "0001"),
     ]  # fmt: skip
-    assert {cell.name[3] for cell in one_each(plan).cells} == {"1000 photo-electrons"}
+    assert {cell.name[3] for cell in one_cell_each(plan).cells} == {"1000 photo-electrons"}
 
 
 def test_photos_are_read_once_as_the_protocol_says(scene):
-    light = taken(scene, Trajectory.straight(5.0), shot_of(replace(TINY, gamma="srgb"), "scene", 0, None)).sharp
-    code = taken(scene, Trajectory.straight(5.0), shot_of(TINY, "scene", 0, None)).sharp
+    light = make_case(scene, Trajectory.straight(5.0), shot_of(replace(TINY, gamma="srgb"), "scene", 0, None)).sharp
+    code = make_case(scene, Trajectory.straight(5.0), shot_of(TINY, "scene", 0, None)).sharp
     assert light.mean() < code.mean()
     assert code.max() <= read_image(scene, gamma="linear").max()

@@ -14,7 +14,7 @@ from scipy import ndimage
 from skimage import data
 
 from cep.bench.coded import protocol
-from cep.bench.coded.designs import DESIGNS, Known, designed
+from cep.bench.coded.designs import DESIGNS, MotionPrior, design_code
 from cep.bench.coded.protocol import CodedProtocol, coded_protocol, drawn_motions, paths_from, paths_to
 from cep.bench.coded.report import OUTPUTS, write_coded_report
 from cep.bench.coded.run import ESTIMATORS, CodedTable, Shot, code_version, measure_coded, motion_version, photo_version
@@ -236,8 +236,8 @@ def test_a_coded_photo_has_the_light_that_came_through():
 @pytest.mark.parametrize("light_true", [True, False])
 def test_with_the_true_psf_and_no_noise_the_oracles_code_restores_far_better_than_an_open_shutter(light_true):
     motion = Trajectory.straight(24.0, angle_rad=0.4)
-    code = designed(
-        "oracle", Known((motion,), (1.0,)), chips=16, open_range=(6, 10), objective="min-mtf", camera=Camera(),
+    code = design_code(
+        "oracle", MotionPrior((motion,), (1.0,)), chips=16, open_range=(6, 10), objective="min-mtf", camera=Camera(),
         steps=2000, rng=np.random.default_rng(0),
     )  # fmt: skip
     coded, plain = (
@@ -352,17 +352,17 @@ def test_motion_is_estimated_from_the_uncoded_photo(guesses):
 # -- designs ----------------------------------------------------------------------------------------------------------
 
 TOLD = {
-    "none": Known(),
-    "length": Known(length_px=20.0),
-    "ours": Known((BENT, GUESS), (0.75, 0.25)),
-    "parametric": Known((PARAMETRIC,), (1.0,)),
-    "parametric oracle": Known((PARAMETRIC,), (1.0,)),
-    "true": Known((BENT,), (1.0,)),
+    "none": MotionPrior(),
+    "length": MotionPrior(length_px=20.0),
+    "ours": MotionPrior((BENT, GUESS), (0.75, 0.25)),
+    "parametric": MotionPrior((PARAMETRIC,), (1.0,)),
+    "parametric oracle": MotionPrior((PARAMETRIC,), (1.0,)),
+    "true": MotionPrior((BENT,), (1.0,)),
 }
 
 
 def chosen(design, known=None, **options):
-    return designed(
+    return design_code(
         design, known or TOLD[DESIGNS[design].path],
         **{
             "chips": 16, "open_range": (6, 8), "objective": "noise", "camera": Camera(), "steps": 800,
@@ -391,7 +391,7 @@ def test_codes_keep_the_limits_that_are_theirs(design):
 
 def test_an_unknown_design():
     with pytest.raises(ValueError, match=r"design: must be one of open, .*, got 'theirs'"):
-        chosen("theirs", Known())
+        chosen("theirs", MotionPrior())
 
 
 def test_each_design_minimises_what_it_should():
@@ -403,7 +403,7 @@ def test_each_design_minimises_what_it_should():
 
     along = {code.bits: (gain(BENT, code), gain(BENT.reversed(), code)) for code in codes}
     limits = {"chips": 8, "open_range": (4, 4), "steps": 2000}
-    known = Known((BENT,), (1.0,))
+    known = MotionPrior((BENT,), (1.0,))
     for design in ("one-way", "oracle", "parametric-oracle"):
         assert along[chosen(design, known, **limits).bits][0] == pytest.approx(
             min(a for a, _ in along.values()), abs=0.05
@@ -412,9 +412,9 @@ def test_each_design_minimises_what_it_should():
         found = along[chosen(design, known, **limits).bits]
         assert max(found) == pytest.approx(min(map(max, along.values())), abs=0.05)
     # a posterior weighs its paths: of a sure one nothing else is left
-    sure = Known((BENT, GUESS), (1.0, 0.0))
+    sure = MotionPrior((BENT, GUESS), (1.0, 0.0))
     assert chosen("posterior", sure, **limits) == chosen("both-ways", sure, **limits)
-    torn = chosen("posterior", Known((BENT, GUESS), (0.1, 0.9)), **limits)
+    torn = chosen("posterior", MotionPrior((BENT, GUESS), (0.1, 0.9)), **limits)
     means = {code.bits: 0.1 * max(along[code.bits]) + 0.9 * gain(GUESS, code) for code in codes}
     assert means[torn.bits] == pytest.approx(min(means.values()), abs=0.05)
     # DNF sees a straight path only
@@ -688,10 +688,10 @@ def test_a_line_of_zeros_is_an_infinite_noise_gain_and_medians_bear_it():
 
 @pytest.mark.parametrize("design", ["one-way", "both-ways", "oracle"])
 def test_a_search_is_never_worse_than_a_snapshot_that_keeps_its_limits(design):
-    known, limits = Known((BENT,), (1.0,)), {"open_range": (1, 16), "objective": "mse"}
+    known, limits = MotionPrior((BENT,), (1.0,)), {"open_range": (1, 16), "objective": "mse"}
     dark = Camera(photons_full_scale=300.0, read_noise_e=5.0)
     codes = [
-        designed(name, known, chips=16, camera=dark, steps=40_000, rng=np.random.default_rng(0), **limits)
+        design_code(name, known, chips=16, camera=dark, steps=40_000, rng=np.random.default_rng(0), **limits)
         for name in (design, "snapshot")
     ]
     ways = (BENT,) if design in ("one-way", "oracle") else (BENT, BENT.reversed())

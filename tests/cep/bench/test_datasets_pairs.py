@@ -5,7 +5,7 @@ import pytest
 
 from cep.bench.blind.cases import check_real, real_photos
 from cep.bench.blind.protocol import Protocol
-from cep.bench.blind.run import planned
+from cep.bench.blind.run import blind_plan
 from cep.bench.datasets import RSBLUR_LIST, koehler_pairs, layout_of, photo_folder, rsblur_pairs
 from cep.io.images import write_image
 
@@ -93,7 +93,7 @@ def test_koehlers_photos_come_with_the_frame_in_the_middle(tmp_path):
     assert [(one.scene, one.shake) for one in real_photos(tmp_path, 9)] == [
         ("Blurry1", "2"), ("Blurry1", "10"), ("Blurry4", "1"),
     ]  # fmt: skip
-    plan = planned(Protocol("tiny", 1, 1, crop_px=64), ["pmp"], folder=tmp_path)
+    plan = blind_plan(Protocol("tiny", 1, 1, crop_px=64), ["pmp"], folder=tmp_path)
     assert {cell.name[0] for cell in plan.cells} == {"delta", "gaussian", "pmp"}  # a floor is a photo as it is
     assert {cell.arguments["sharp"].name for cell in plan.cells} == {sharp.name for _, sharp in pairs}
 

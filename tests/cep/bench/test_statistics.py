@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from cep.bench.statistics import crossed_interval, mean_interval, summed_up
+from cep.bench.statistics import crossed_interval, mean_interval, summarized
 
 
 def rng(seed=0):
@@ -16,22 +16,22 @@ def rng(seed=0):
 
 
 def test_summaries_of_a_known_row():
-    found = summed_up(range(1, 22))
+    found = summarized(range(1, 22))
     assert (found.n, found.mean, found.median, found.q05, found.q95) == (21, 11, 11, 2, 20)
     assert found.sd == pytest.approx(math.sqrt(21 * 22 / 12), rel=1e-12)  # of 1..n: n (n + 1) / 12
 
 
 def test_summaries_of_little():
-    assert summed_up([]).n == 0
-    assert math.isnan(summed_up([]).mean)
-    one = summed_up([3])
+    assert summarized([]).n == 0
+    assert math.isnan(summarized([]).mean)
+    one = summarized([3])
     assert (one.n, one.mean, one.median, one.q05, one.q95) == (1, 3, 3, 3, 3)
     assert math.isnan(one.sd)
-    assert summed_up([1, math.inf]).mean == math.inf
-    assert summed_up([math.inf, 20, 22.5]).median == 22.5
-    assert summed_up([math.inf, math.inf, 20]).median == math.inf
+    assert summarized([1, math.inf]).mean == math.inf
+    assert summarized([math.inf, 20, 22.5]).median == 22.5
+    assert summarized([math.inf, math.inf, 20]).median == math.inf
     values = np.random.default_rng(0).normal(size=38)
-    found = summed_up(values)
+    found = summarized(values)
     assert (found.q05, found.median, found.q95) == pytest.approx(np.quantile(values, (0.05, 0.5, 0.95)), rel=1e-12)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cep.bench.statistics import mean_interval, summed_up
+from cep.bench.statistics import mean_interval, summarized
 from cep.bench.table_io import TABLES_SCHEMA, tables_csv, tables_json, tables_markdown
 from cep.bench.tables import Column, differences, tabulate
 from cep.cli.console import table as rich_table
@@ -161,7 +161,7 @@ def test_csv_has_every_number():
     assert len(rows) == 4
     assert [row["bold"] for row in rows] == ["no", "no"] * 2
     values = [own["psnr_db"] for name, own in figures.items() if name[0] == "ours"]
-    summary = summed_up(values)
+    summary = summarized(values)
     for name in ("mean", "median", "sd", "q05", "q95"):
         assert float(rows[1][name]) == pytest.approx(getattr(summary, name), rel=1e-5)
     assert (rows[0]["mean"], rows[0]["low"], rows[0]["sd"]) == ("inf", "", "")
