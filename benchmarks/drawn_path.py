@@ -5,7 +5,9 @@
 For simulated photos with real borders and 1 % noise: the network's one-step map and dwell, told of the quick classical
 searches. "kernel": the drawn PSF is traced. "map": the map is traced and given the drawn PSF's dwell. "refined kernel"
 and "refined map": the same with the PSF refined on the photo, which is what ``cep calibrate`` does with the kernel.
-Figures: MNC of the trajectory's PSF, and the path's distance from the true one in order, px, the better way round.
+Figures: MNC of the trajectory's PSF; the path's distance from the true one in order, px, the better way round; and how
+much worse a code of 32 chips searched along the trajectory is than one searched along the true one, both for either
+direction, dB of the expected error along the true one.
 """
 
 from __future__ import annotations
@@ -17,6 +19,9 @@ import numpy as np
 import torch
 from _inputs import photos, smooth_trace
 
+from cep.optics.code import ShutterCode
+from cep.search.problem import SearchProblem
+from cep.search.recipe import search_code
 from motdiff.estimators.kernel_score import Judge
 from motdiff.estimators.motdiff.drawing import searched_quickly
 from motdiff.estimators.multiscale import without_faint_parts
@@ -69,6 +74,16 @@ def trajectories(network: torch.nn.Module, photo: np.ndarray, seed: int) -> dict
     }
 
 
+def searched(path: Trajectory, seed: int) -> ShutterCode:
+    problem = SearchProblem.along(path, chips=32, open_range=(10, 22), objective="mse", direction="unknown")
+    return search_code(problem, rng=np.random.default_rng(seed), steps=20_000, time_s=600.0).code
+
+
+def error_db(path: Trajectory, code: ShutterCode) -> float:
+    problem = SearchProblem.along(path, chips=32, objective="mse", direction="unknown")
+    return problem.measure(code, budget=0).mse_db
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--photos", type=Path)
@@ -77,7 +92,7 @@ def main() -> None:
     given = parser.parse_args()
     scenes = [light for _, light in photos(given.photos) if min(light.shape[:2]) >= SIDE_PX]
     network = load_network()
-    found: dict[str, dict[str, list[tuple[float, float]]]] = {}
+    found: dict[str, dict[str, list[tuple[float, float, float]]]] = {}
     for number in range(given.count):
         rng = np.random.default_rng([given.seed, number])
         scene = scenes[number % len(scenes)]
@@ -86,16 +101,23 @@ def main() -> None:
         scene = scene[top : top + SIDE_PX, left : left + SIDE_PX]
         for kind, truth in motions(rng).items():
             photo = photograph(scene, truth.psf(), rng=rng)
+            least_db = error_db(truth, searched(truth, number))
             for way, path in trajectories(network, photo, number).items():
                 psf = in_frame(path.psf(max(PSF_PX, path.frame_size())), PSF_PX)
-                figures = mnc_subpixel(psf, truth.psf()), ordered_distance_px(path.xy, truth.xy)
+                figures = (
+                    mnc_subpixel(psf, truth.psf()),
+                    ordered_distance_px(path.xy, truth.xy),
+                    error_db(truth, searched(path, number)) - least_db,
+                )
                 found.setdefault(kind, {}).setdefault(way, []).append(figures)
-    print("| motions | photos | MNC: " + " | ".join(WAYS) + " | in order, px: " + " | ".join(WAYS) + " |")
-    print("|---" * (2 + 2 * len(WAYS)) + "|")
+    print("| motions | way | photos | MNC | in order, px | code worse by, dB |")
+    print("|---|---|---|---|---|---|")
     for kind, by_way in found.items():
-        means = [np.mean([figures[k] for figures in by_way[way]]) for k in (0, 1) for way in WAYS]
-        medians = [f"{mean:.3f}" for mean in means]
-        print(f"| {kind} | {given.count} | " + " | ".join(medians) + " |", flush=True)
+        for way in WAYS:
+            table = np.array(by_way[way])
+            error = table.std(axis=0) / len(table) ** 0.5
+            cells = " | ".join(f"{m:.3f} ({e:.3f})" for m, e in zip(table.mean(axis=0), error, strict=True))
+            print(f"| {kind} | {way} | {len(table)} | {cells} |")
 
 
 if __name__ == "__main__":
