@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,7 @@ CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.pn
 """What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field."""
 
 _LEAST_CONTRAST = 2 / 255
+_LOADING = (0.1, 0.2, 0.33)  # of an estimate's share: torch is on its way, is there, and so is the estimator
 _NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}}
 _ALLOWED = {"motdiff": {"samples", "quick"}, "gyro": {"rate_unit"}}
 
@@ -76,7 +78,7 @@ def make_estimator(
     focal_px: float | None = None,
     start_s: float | None = None,
     exposure_s: float | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float, str], None] = lambda _share, _what: None,
 ) -> Estimator:
     """Make the estimator of a name.
 
@@ -94,7 +96,8 @@ def make_estimator(
     gyro, focal_px, start_s, exposure_s
         For "gyro": the recording, the focal length in px, and when on the recording's clock the shutter was open.
     progress : callable, optional
-        Called with the finished share 0..1 by methods that take long.
+        Called with the finished share 0..1 of loading and estimating, and what is being done, by methods that take
+        long.
 
     Raises
     ------
@@ -131,13 +134,25 @@ def make_estimator(
         from motdiff.estimators.point import PointEstimator
 
         return PointEstimator()
+
+    def tell(share: float) -> None:
+        progress(_LOADING[-1] + (1 - _LOADING[-1]) * share, "searching the motion")
+
+    progress(_LOADING[0], "loading torch")
+    import_module("torch")  # half of what there is to load
+    progress(_LOADING[1], "loading the network" if method == "motdiff" else "loading the search")
+    made: Estimator
     if method == "pmp":
         from motdiff.estimators.pmp import PmpEstimator
 
-        return PmpEstimator(progress=progress)
-    from motdiff.estimators.motdiff import MotDiffEstimator
+        made = PmpEstimator(progress=tell)
+    else:
+        from motdiff.estimators.motdiff import MotDiffEstimator
 
-    return MotDiffEstimator(samples=8 if samples is None else samples, thorough=not quick, seed=seed, progress=progress)
+        count = 8 if samples is None else samples
+        made = MotDiffEstimator(samples=count, thorough=not quick, seed=seed, progress=tell)
+    tell(0.0)
+    return made
 
 
 def calibrate(photo: ArrayLike, estimator: Estimator | None = None) -> MotionEstimate:

@@ -129,7 +129,7 @@ def run_chain(
     clock.begin(0.0, "estimating the motion")
     if estimator is None:
         check_photo(scene.photo, "motdiff")  # before anything slow is loaded
-    blind = estimator or make_estimator(progress=lambda share: tell(_BLIND_SHARE * share, "estimating the motion"))
+    blind = estimator or make_estimator(progress=lambda share, what: tell(_BLIND_SHARE * share, what))
     estimate = calibrate(scene.photo, blind)
     motion = estimate.trajectories[0]
 

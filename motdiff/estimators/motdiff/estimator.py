@@ -15,9 +15,10 @@ from motdiff.estimators.kernel_score import Judge, candidate_probabilities, nois
 from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
 from motdiff.estimators.multiscale import Found, estimate_blind
 from motdiff.estimators.pmp import PmpEstimator
-from motdiff.estimators.pmp.estimator import refined
+from motdiff.estimators.pmp.estimator import STARTS, planned, refined
 from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
+from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.threads import side_by_side
 from motdiff.weights import load_network
@@ -28,6 +29,8 @@ FloatArray = NDArray[np.float64]
 
 _ODD_PX = PSF_PX - 1
 _REFINED = 3
+# processor time of the stages, in starts of the classical search
+_DRAW_COST, _JUDGE_COST, _REFINE_COST, _SINGLE_COST, _TRACE_COST = 0.4, 0.2, 0.45, 0.35, 0.25
 _DOUBT = 0.02  # share of the peak: off the path a network's output is never quite 0
 # of the full search's starts, those that stand for the quick ones the network was trained with; the first two agreeing,
 # the larger one stands for the one not run as well
@@ -89,16 +92,19 @@ class MotDiffEstimator:
         self._network = load_network() if weights is None else load_network(weights)
         self._samples, self._steps, self._refine = samples, steps, refine
         self._thorough, self._seed, self._crops = thorough, seed, crops
-        self._progress = progress or (lambda _share: None)
+        self._tell, self._progress = progress, Progress(progress)
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Estimate the motion from a blurred ``photo``, see :func:`motdiff.estimators.multiscale.estimate_blind`."""
+        self._progress = Progress(self._tell)
         estimate = estimate_blind(photo, self, method="motdiff", most_crops=self._crops)
-        self._progress(1.0)
+        self._progress.finish()
         return estimate
 
     def search(self, crops: FloatArray) -> Found:
         """Draw, judge and refine kernels of the crops (C, H, W)."""
+        after = _JUDGE_COST + _REFINE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0) + _TRACE_COST
+        self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
         judge = Judge(crops)
         classical, told = self._classical(crops, judge.sigma)
         drawn = draw_psfs(
@@ -109,12 +115,13 @@ class MotDiffEstimator:
             steps=self._steps,
             generator=torch.Generator().manual_seed(self._seed),
         )
-        self._progress(0.7)
+        self._progress.spend(_DRAW_COST)
         kernels = _in_odd_frames(np.concatenate([drawn, classical, drawn.mean(axis=0, keepdims=True)]))
         mean = len(kernels) - 1
         groups = {"samples": len(drawn), "classical": len(classical)}
         evidence, alike = judge.evidence(kernels), mnc_matrix(kernels)
         believed = candidate_probabilities(evidence, alike, **groups)
+        self._progress.spend(_JUDGE_COST)
         best = int(np.argmax(believed))
         if self._refine:
             likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
@@ -124,6 +131,7 @@ class MotDiffEstimator:
             evidence = np.vstack([evidence, judge.evidence(sharpened)])
             believed = candidate_probabilities(evidence, mnc_matrix(kernels), **groups)
             best = mean + 1 + int(np.argmax(believed[mean + 1 :]))  # refined ones are better than what they come from
+        self._progress.spend(_REFINE_COST)
         origin = best if best <= mean else chosen[best - mean - 1]
         details: dict[str, object] = {
             **groups,
@@ -135,14 +143,17 @@ class MotDiffEstimator:
 
     def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:  # noqa: ARG002, the protocol's
         """Run one quick search on each crop alone."""
-        return side_by_side([partial(_searched_alone, crop) for crop in crops])
+        cost = _SINGLE_COST / len(crops)
+        return side_by_side(
+            [partial(_searched_alone, crop) for crop in crops], tell=lambda _finished: self._progress.spend(cost)
+        )
 
     def _classical(self, crops: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
         """Search classical kernels (Q, 64, 64), and those of them that the network is told of (3, 64, 64)."""
         if not self._thorough:
             quick = searched_quickly(crops, sigma=sigma)
             return quick, quick
-        found = PmpEstimator(progress=lambda share: self._progress(0.7 * share)).kernels(crops)
+        found = PmpEstimator().kernels(crops, progress=self._progress)
         framed = np.stack([in_frame(kernel) for kernel in found])
         return framed, framed[list(_TOLD_OF_ALL if len(found) > 2 else _TOLD_OF_TWO)]
 

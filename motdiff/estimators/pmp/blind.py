@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -28,6 +29,7 @@ _COUPLING = Coupling(start=16.0, end=100.0, growth=1.5)
 _FINE_COUPLING = Coupling(end=100.0)  # slower growth, as in the search, loses 0.02 on real photos
 _ROUNDS, _FINE_ROUNDS = (6, 15), (25, 50)  # descent steps of the search's kernels and of the refinement's
 _REFINEMENTS = 3
+_ALTERNATION_PX = 2e4  # what an alternation costs whatever the size of the photo, as px of a larger one
 _SHRUNK_NOISE = 0.45  # share of the noise assumed in a shrunk photo: 0.4 and less remains, but assuming that loses 0.01
 
 
@@ -80,7 +82,13 @@ class PmpSettings:
         return cls(smoothness=_SMOOTHNESS_FLOOR + _SMOOTHNESS_PER_VARIANCE * sigma**2, sigma=sigma)
 
 
-def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None = None) -> Tensor:
+def estimate_kernels(
+    photos: Tensor,
+    *,
+    size: int,
+    settings: PmpSettings | None = None,
+    tell: Callable[[float], None] = lambda _share: None,
+) -> Tensor:
     """Estimate one blur kernel per photo from its crops.
 
     Parameters
@@ -90,6 +98,8 @@ def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None 
     size : int
         Odd side of the kernel frame, px; the kernel should fill a good part of it.
     settings : PmpSettings, optional
+    tell : callable, optional
+        Called with the finished share 0..1, after each alternation of photo and kernel.
 
     Returns
     -------
@@ -107,6 +117,10 @@ def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None 
     kernel, threshold = photos.new_zeros(0), photos.new_zeros(0)
     batch, crops = photos.shape[:2]
     flat = photos.flatten(0, 1)
+    costs = [_ALTERNATION_PX + flat.numel() * _RATIO ** (2 * scale) for scale in range(scales)]
+    rounds = [chosen.last_iterations + (_REFINEMENTS if chosen.fine_weights else 0)]
+    rounds += [chosen.iterations + len(chosen.fine_weights)] * (scales - 1)
+    done, total = 0.0, float(sum(cost * count for cost, count in zip(costs, rounds, strict=True)))
     for scale in reversed(range(scales)):
         side = _odd(math.ceil(size * _RATIO**scale))
         blurred = downsampled(flat, _RATIO**scale)
@@ -141,6 +155,8 @@ def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None 
             threshold = threshold / _DECAY
             intensity = max(intensity / _DECAY, chosen.intensity_floor)
             gradient = max(gradient / _DECAY, chosen.gradient_floor)
+            done += costs[scale]
+            tell(done / total)
         for weight in chosen.fine_weights if scale else ():
             kernel = _fitted_to_all(
                 wrapped,
@@ -151,9 +167,14 @@ def estimate_kernels(photos: Tensor, *, size: int, settings: PmpSettings | None 
                 coupling=chosen.coupling,
                 rounds=_ROUNDS,
             )
+            done += costs[scale]
+            tell(done / total)
         kernel = centred(kernel)
     kernel = without_faint_light(kernel, below=chosen.keep_share)
-    return centred(refine_kernel(photos, kernel, sigma=chosen.sigma)) if chosen.fine_weights else kernel
+    if chosen.fine_weights:
+        kernel = centred(refine_kernel(photos, kernel, sigma=chosen.sigma))
+    tell(1.0)
+    return kernel
 
 
 def refine_kernel(photos: Tensor, kernel: Tensor, *, sigma: float) -> Tensor:

@@ -15,9 +15,10 @@ from motdiff.estimators.kernel_score import noise_sigma, rank_kernels
 from motdiff.estimators.multiscale import Found, estimate_blind
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
 from motdiff.metrics import mnc_subpixel
+from motdiff.progress import Progress
 from motdiff.threads import side_by_side
 
-__all__ = ["STARTS", "PmpEstimator", "Start", "refined"]
+__all__ = ["STARTS", "PmpEstimator", "Start", "planned", "refined"]
 
 FloatArray = NDArray[np.float64]
 
@@ -53,6 +54,9 @@ STARTS = (
 """Two, and two more where these disagree; of 18 tried."""
 
 _AGREED_MNC = 0.93  # of two searches, unrefined: docs/decisions/motion-estimation.md
+_DISAGREE = 0.4  # share of photos with more starts than two
+# processor time of the other stages, in starts
+_RANK_COST, _REFINE_COST, _SINGLE_COST, _TRACE_COST = 0.05, 0.15, 1.4, 0.25
 
 
 class PmpEstimator:
@@ -92,46 +96,66 @@ class PmpEstimator:
         if crops < 1:
             raise ValueError(f"crops: must be at least 1, got {crops}")
         self._starts, self._crops, self._device = starts, crops, device
-        self._progress = progress or (lambda _share: None)
+        self._tell, self._progress = progress, Progress(progress)
         self.largest_px = max(start.size for start in starts)
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Estimate the motion from a blurred ``photo``, see :func:`motdiff.estimators.multiscale.estimate_blind`."""
+        self._progress = Progress(self._tell)
         estimate = estimate_blind(photo, self, method="pmp", most_crops=self._crops)
-        self._progress(1.0)
+        self._progress.finish()
         return estimate
 
     def search(self, crops: FloatArray) -> Found:
         """Run the starts on the crops (C, H, W) and refine the best once more."""
-        kernels = self.kernels(crops)
+        single = _SINGLE_COST if len(crops) > 1 else 0.0
+        self._progress.expect(planned(len(self._starts)) + _RANK_COST + _REFINE_COST + single + _TRACE_COST)
+        kernels = self.kernels(crops, progress=self._progress)
         ranking = rank_kernels(crops, kernels)
+        self._progress.spend(_RANK_COST)
         kernels[ranking.best] = refined(crops, kernels[ranking.best], _sigma(crops), device=self._device)
+        self._progress.spend(_REFINE_COST)
         details: dict[str, object] = {"starts": len(kernels), "agreement": ranking.agreement}
         return Found(tuple(kernels), ranking.probabilities, ranking.best, details)
 
-    def kernels(self, crops: FloatArray) -> list[FloatArray]:
-        """Kernels of the starts on the crops (C, H, W), each (size, size), sum 1; of the first two where they agree."""
-        jobs = [partial(self._run, crops, start) for start in self._starts]
-        found = side_by_side(jobs[:2], tell=self._tell)
-        if len(jobs) > 2 and mnc_subpixel(*found) < _AGREED_MNC:
-            found += side_by_side(jobs[2:], tell=lambda finished: self._tell(2 + finished))
+    def kernels(self, crops: FloatArray, *, progress: Progress | None = None) -> list[FloatArray]:
+        """Kernels of the starts on the crops (C, H, W), each (size, size), sum 1; of the first two where they agree.
+
+        A start costs 1 of the ``progress``, :func:`planned` in all.
+        """
+        told = progress or Progress()
+        jobs = [partial(self._run, crops, start, tell=told.piece(1.0)) for start in self._starts]
+        found = side_by_side(jobs[:2])
+        if len(jobs) > 2:
+            agreed = mnc_subpixel(*found) >= _AGREED_MNC
+            told.expect_more((2 if agreed else len(jobs)) - planned(len(jobs)))
+            if not agreed:
+                found += side_by_side(jobs[2:])
         return found
 
     def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:
         """Run the winning start on each crop alone."""
-        return side_by_side([partial(self._run, crop[None], self._starts[found.best]) for crop in crops])
+        cost = _SINGLE_COST / len(crops)
+        return side_by_side(
+            [
+                partial(self._run, crop[None], self._starts[found.best], tell=self._progress.piece(cost))
+                for crop in crops
+            ]
+        )
 
-    def _tell(self, finished: int) -> None:
-        self._progress(0.8 * finished / len(self._starts))
-
-    def _run(self, crops: FloatArray, start: Start) -> FloatArray:
+    def _run(self, crops: FloatArray, start: Start, *, tell: Callable[[float], None]) -> FloatArray:
         turned = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
         batch = torch.from_numpy(np.ascontiguousarray(turned))[None].to(self._device)
         settings = PmpSettings.for_noise(_sigma(crops))
         settings = replace(settings, sparsity=start.sparsity, gradient_weight=start.gradient_weight)
         size = min(start.size, (min(crops.shape[1:]) // 2) * 2 - 1)
-        kernel = estimate_kernels(batch, size=size, settings=settings)[0].cpu().numpy()
+        kernel = estimate_kernels(batch, size=size, settings=settings, tell=tell)[0].cpu().numpy()
         return np.ascontiguousarray(np.rot90(kernel, -start.quarter_turns), dtype=np.float64)
+
+
+def planned(starts: int) -> float:
+    """Say how many of so many starts are run on average, as others than the first two are only where these disagree."""
+    return min(starts, 2) + _DISAGREE * max(starts - 2, 0)
 
 
 def refined(crops: FloatArray, kernel: FloatArray, sigma: float, *, device: str = "cpu") -> FloatArray:

@@ -1,5 +1,6 @@
 """The choice of an estimator, and the files of a calibration."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -72,14 +73,27 @@ def test_each_method_makes_its_estimator(small_weights):
 
 
 def test_the_diffusion_model_gets_its_options(made):
-    def tick(share):
-        pass
-
-    make_estimator(samples=3, seed=5, progress=tick)
+    make_estimator(samples=3, seed=5)
     make_estimator("motdiff", quick=True)
     make_estimator("motdiff", quick=False)
-    usual = {"samples": 8, "thorough": True, "seed": 0, "progress": None}
-    assert made == [{**usual, "samples": 3, "seed": 5, "progress": tick}, {**usual, "thorough": False}, usual]
+    assert all(callable(options.pop("progress")) for options in made)
+    usual = {"samples": 8, "thorough": True, "seed": 0}
+    assert made == [{**usual, "samples": 3, "seed": 5}, {**usual, "thorough": False}, usual]
+
+
+@pytest.mark.parametrize("method", ["motdiff", "pmp"])
+def test_the_share_told_begins_before_torch_is_loaded_and_goes_on_with_the_estimator_s(method):
+    """In a fresh interpreter, for torch is loaded here."""
+    script = (
+        "import json, sys; from cep.workflows.calibrate import make_estimator; "
+        "told = []; make_estimator(sys.argv[1], progress=lambda share, _what: told.append(('torch' in sys.modules, "
+        "f'motdiff.estimators.{sys.argv[1]}' in sys.modules, share))); print(json.dumps(told))"
+    )
+    ran = subprocess.run([sys.executable, "-c", script, method], capture_output=True, text=True, check=True)
+    loaded = [(torch, estimator) for torch, estimator, _ in json.loads(ran.stdout)]
+    shares = [share for *_, share in json.loads(ran.stdout)]
+    assert loaded == [(False, False), (True, False), (True, True)]
+    assert shares == sorted(shares)
 
 
 def test_a_seed_does_no_harm_to_a_method_that_draws_nothing():

@@ -1,0 +1,64 @@
+"""How much of a work is done, told as a share that only grows, whatever turns out to be left of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import Lock
+
+__all__ = ["Progress"]
+
+_MOST = 0.999  # before the work is finished, however wrong its plan was
+
+
+class Progress:
+    """Tells the finished share of a work whose parts cost differently, and whose plan may change on the way.
+
+    The share moves through what is left of it as the work moves through what is left of the plan: a longer plan slows
+    it down, a shorter one speeds it up. Several threads may work.
+
+    Parameters
+    ----------
+    tell : callable, optional
+        Called with the finished share 0..1, which never falls, one call at a time.
+    """
+
+    def __init__(self, tell: Callable[[float], None] | None = None) -> None:
+        self._tell = tell or (lambda _share: None)
+        self._lock = Lock()
+        self._share, self._left = 0.0, 0.0
+
+    def expect(self, cost: float) -> None:
+        """Plan what is left from now on, in any unit; it replaces the plan so far."""
+        with self._lock:
+            self._left = cost
+
+    def expect_more(self, cost: float) -> None:
+        """Lengthen the plan, or shorten it by a negative cost."""
+        with self._lock:
+            self._left += cost
+
+    def spend(self, cost: float) -> None:
+        """Tell that so much of the plan is done."""
+        with self._lock:
+            if cost > 0:
+                done = min(1.0, cost / self._left) if self._left > 0 else 1.0
+                self._share = min(_MOST, self._share + (1 - self._share) * done)
+                self._left = max(0.0, self._left - cost)
+            self._tell(self._share)
+
+    def piece(self, cost: float) -> Callable[[float], None]:
+        """Return what a piece of the plan, which costs so much, is to call with its own finished share, 0..1."""
+        spent = 0.0
+
+        def tell(share: float) -> None:
+            nonlocal spent
+            more, spent = cost * share - spent, cost * share
+            self.spend(more)
+
+        return tell
+
+    def finish(self) -> None:
+        """Tell that all is done."""
+        with self._lock:
+            self._share, self._left = 1.0, 0.0
+            self._tell(1.0)
