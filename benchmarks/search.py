@@ -26,6 +26,7 @@ from cep.proofs.certify.minimum import min_chip
 from cep.proofs.measure import measure
 from cep.search.annealing.anneal import anneal
 from cep.search.exhaustive.exact import codes_to_count, exact
+from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from motdiff.motions import boracchi_foi
@@ -149,7 +150,7 @@ def long_codes(seconds: float, seed: int) -> None:
         code, took = search(problem, seconds, seed)
         lowest, noise = figures(code)
         print(f"| {chips} | {code.open_chips} | {lowest:.4f} | {noise:.2f} | {took:.0f} |", flush=True)
-    problem = SearchProblem(chips=52, open_range=(20, 30), min_open=2, min_closed=2, objective="noise")
+    problem = SearchProblem(chips=52, open_range=(20, 30), objective="noise", runs=RunLimits(min_open=2, min_closed=2))
     code, took = search(problem, seconds / 2, seed)
     lowest, noise = figures(code)
     print(f"| 52, runs of 2 at least | {code.open_chips} | {lowest:.4f} | {noise:.2f} | {took:.0f} |")

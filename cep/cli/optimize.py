@@ -173,6 +173,7 @@ def optimize(
     from cep.io.files import StoredCode, write_code
     from cep.io.outputs import claim
     from cep.search.exhaustive.exact import codes_to_count
+    from cep.search.limits import RunLimits
     from cep.search.recipe import mean_length_px
     from cep.workflows.optimize import appraise, report, search
     from hw.device import load_profile
@@ -180,8 +181,11 @@ def optimize(
     how = search_of(method, effort, steps=steps, time_s=time_s, seed=seed)
     wish = SearchOptions(
         chips=chips, chip_ns=chip_ns, open_chips=open_chips, duty=duty, objective=objective, direction=direction,
-        min_open=min_open, max_open=max_open, min_closed=min_closed, min_period=min_period, max_pulses=max_pulses,
-        first_open=first_open, last_open=last_open, fixed=fixed, alternatives=alternatives, speed=speed, drift=drift,
+        runs=RunLimits(
+            min_open=min_open, max_open=max_open, min_closed=min_closed, min_period=min_period, max_pulses=max_pulses,
+            fixed=fixed,
+        ),
+        first_open=first_open, last_open=last_open, alternatives=alternatives, speed=speed, drift=drift,
         jitter=jitter, rule=rule,
     )  # fmt: skip
     profile = None if device is None else load_profile(device)

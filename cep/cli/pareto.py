@@ -113,6 +113,7 @@ def pareto(
     Example: cep pareto --chips 52 --open 22:40 --time 60 -o front.json --plot front.png
     """
     import math
+    from dataclasses import asdict
 
     import numpy as np
 
@@ -123,6 +124,7 @@ def pareto(
     from cep.plots.pareto import pareto_figure
     from cep.search.fronts.front import knees
     from cep.search.fronts.pareto import front_points, pareto_front
+    from cep.search.limits import RunLimits
     from cep.search.problem import SearchProblem
     from cep.workflows.optimize import STANDARD_TIME_S
     from cep.workflows.search_options import DIRECTIONS, open_limits
@@ -139,11 +141,9 @@ def pareto(
         scenarios=_scenarios(trajectory, linear, chips),
         open_range=open_limits(chips, open_chips, duty),
         direction=direction,  # type: ignore[arg-type]
-        min_open=min_open,
-        min_closed=min_closed,
-        max_pulses=max_pulses,
-        max_open=max_open,
-        min_period=min_period,
+        runs=RunLimits(
+            min_open=min_open, min_closed=min_closed, max_pulses=max_pulses, max_open=max_open, min_period=min_period
+        ),
         camera=load_camera(camera, photons=photons, read_noise=read_noise),
     )
     limit_s = time_s if time_s is not None else STANDARD_TIME_S if steps is None else math.inf
@@ -168,11 +168,7 @@ def pareto(
             "chips": chips,
             "open_range": problem.open_limits,
             "direction": direction,
-            "min_open": min_open,
-            "max_open": max_open,
-            "min_closed": min_closed,
-            "min_period": min_period,
-            "max_pulses": max_pulses,
+            **{name: value for name, value in asdict(problem.runs).items() if name != "fixed"},  # it has no such option
             "camera": problem.camera.to_dict(),
             "steps": front.steps,
             "stopped": front.stopped,

@@ -14,6 +14,7 @@ import numpy as np
 
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import SearchResult, anneal
+from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 
@@ -24,13 +25,15 @@ SHORTEST_PX = 1.0
 
 
 def dnf_problem(
-    length_px: float, chips: int, *, open_range: tuple[int, int] | None = None, **limits: object
+    length_px: float, chips: int, *, open_range: tuple[int, int] | None = None, runs: RunLimits | None = None
 ) -> SearchProblem:
     """Say what DNF searches for; see :func:`dnf_search`, whose parameters these are."""
     if not (np.isfinite(length_px) and length_px >= 0):
         raise ValueError(f"length_px: must be 0 or more, got {length_px}")
     straight = Trajectory.straight(max(SHORTEST_PX, float(length_px)))
-    return SearchProblem.along(straight, chips=chips, open_range=open_range, objective="noise", **limits)
+    return SearchProblem.along(
+        straight, chips=chips, open_range=open_range, objective="noise", runs=runs or RunLimits()
+    )
 
 
 def dnf_search(
@@ -41,8 +44,8 @@ def dnf_search(
     steps: int | None = 1_000_000,
     time_s: float = 60.0,
     open_range: tuple[int, int] | None = None,
+    runs: RunLimits | None = None,
     threads: int | None = None,
-    **limits: object,
 ) -> SearchResult:
     """Search the code as ours is searched, with the same budget, but knowing nothing of the motion but its length.
 
@@ -56,8 +59,8 @@ def dnf_search(
         As :func:`cep.search.annealing.anneal.anneal` takes them.
     open_range : (int, int), optional
         Fewest and most open chips; any number when omitted.
-    **limits
-        Other limits of :class:`cep.search.problem.SearchProblem`.
+    runs : RunLimits, optional
+        Limits on runs and pulses; none when omitted.
 
     Raises
     ------
@@ -68,7 +71,7 @@ def dnf_search(
     ----------
     Agrawal and Raskar, "Optimal single image capture for motion deblurring", CVPR 2009.
     """
-    problem = dnf_problem(length_px, chips, open_range=open_range, **limits)
+    problem = dnf_problem(length_px, chips, open_range=open_range, runs=runs)
     return anneal(problem, rng=rng, steps=steps, time_s=time_s, threads=threads)
 
 

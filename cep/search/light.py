@@ -135,7 +135,7 @@ def _fitting_runs(limits: Limits) -> NDArray[np.bool_]:
     length, first = np.ogrid[: n + 1, : n + 1]
     end = np.minimum(first + length, n)
     longest = min(limits.open_range[1], limits.longest)
-    fits = (first + length <= n) & (length >= max(limits.open_range[0], limits.min_open, 1)) & (length <= longest)
+    fits = (first + length <= n) & (length >= max(limits.open_range[0], limits.runs.min_open, 1)) & (length <= longest)
     closed, opened = (np.concatenate([[0], np.cumsum(~limits.may_be(bit))]) for bit in (1, 0))  # forced before a chip
     fits &= (closed[end] == closed[first]) & (opened[end] - opened[first] == opened[-1])
     return np.asarray(fits, dtype=np.bool_)
@@ -158,15 +158,15 @@ def _strobes_within(problem: SearchProblem) -> Codes:
     limits, n = problem.limits, problem.chips
     low, high = limits.open_range
     pairs = []
-    for width in range(limits.min_open, limits.longest + 1):
-        most = 1 + (n - width) // max(limits.min_period, width + limits.min_closed)
-        first, last = max(2, -(-low // width)), min(most, high // width, limits.max_pulses or most)
+    for width in range(limits.runs.min_open, limits.longest + 1):
+        most = 1 + (n - width) // max(limits.runs.min_period, width + limits.runs.min_closed)
+        first, last = max(2, -(-low // width)), min(most, high // width, limits.runs.max_pulses or most)
         pairs += [(width, pulses) for pulses in range(first, last + 1)]
     codes = []
     for width, pulses in (pairs[index] for index in _some(np.arange(len(pairs)), _PAIRS)):
-        least, longest = max(limits.min_period, width + limits.min_closed), (n - width) // (pulses - 1)
+        least, longest = max(limits.runs.min_period, width + limits.runs.min_closed), (n - width) // (pulses - 1)
         for period in _some(np.arange(least, longest + 1), _PERIODS_WITHIN):
-            later = n - ((pulses - 1) * period + width) if limits.fixed is not None else 0
+            later = n - ((pulses - 1) * period + width) if limits.runs.fixed is not None else 0
             code = np.zeros(n, dtype=np.int8)
             code[(np.arange(pulses)[:, None] * period + np.arange(width)).ravel()] = 1
             codes += [np.roll(code, first) for first in _some(np.arange(later + 1), _FIRSTS)]

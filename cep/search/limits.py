@@ -9,7 +9,7 @@ step of its own, from closed to the end of its gap. Every code within the limits
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ __all__ = [
     "OPEN",
     "OVER",
     "Limits",
+    "RunLimits",
     "Step",
     "check_feasible",
     "checked_mask",
@@ -56,6 +57,71 @@ class Step(NamedTuple):
     fits: BoolArray
 
 
+@dataclass(frozen=True, kw_only=True)
+class RunLimits:
+    """Limits of a shutter on the runs of open and closed chips of a code.
+
+    Parameters
+    ----------
+    min_open, min_closed : int
+        Shortest open run, and shortest closed run between two open ones: the shutter rests closed before and after.
+    max_pulses : int, optional
+        Most open runs.
+    max_open : int, optional
+        Longest open run.
+    min_period : int
+        Fewest chips from the start of one open run to the start of the next. Codes are not their mirror image's equals
+        then: it swaps starts and ends.
+    fixed : str, optional
+        One character per chip: "1" forced open, "0" forced closed, "?" free; see :func:`fixed_mask`.
+
+    Raises
+    ------
+    ValueError
+        If a number is not whole or below 1.
+    """
+
+    min_open: int = 1
+    min_closed: int = 1
+    max_open: int | None = None
+    min_period: int = 1
+    max_pulses: int | None = None
+    fixed: str | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("min_open", "min_closed", "max_pulses", "max_open", "min_period"):
+            value = getattr(self, name)
+            unlimited = name in ("max_pulses", "max_open") and value is None
+            if not unlimited and (not isinstance(value, int) or value < 1):
+                raise ValueError(f"{name}: must be a whole number of at least 1, got {value!r}")
+
+    @property
+    def says_nothing(self) -> bool:
+        """Whether every code keeps the limits on runs, pulses and their period, whatever chips are forced."""
+        return replace(self, fixed=None) == RunLimits()
+
+    def tightened(self, other: RunLimits) -> RunLimits:
+        """Return the limits of codes that keep these and those of ``other``, whose mask counts where there is none.
+
+        Examples
+        --------
+        >>> RunLimits(min_open=2, max_open=9).tightened(RunLimits(min_closed=3, max_open=5)).max_open
+        5
+        """
+
+        def smallest(*limits: int | None) -> int | None:
+            return min((limit for limit in limits if limit is not None), default=None)
+
+        return RunLimits(
+            min_open=max(self.min_open, other.min_open),
+            min_closed=max(self.min_closed, other.min_closed),
+            max_pulses=smallest(self.max_pulses, other.max_pulses),
+            max_open=smallest(self.max_open, other.max_open),
+            min_period=max(self.min_period, other.min_period),
+            fixed=self.fixed or other.fixed,
+        )
+
+
 @dataclass(frozen=True)
 class Limits:
     """Limits of a code of ``chips`` chips.
@@ -65,61 +131,51 @@ class Limits:
     chips : int
     open_range : (int, int)
         Fewest and most open chips.
-    min_open, min_closed : int
-        Shortest open run, and shortest closed run between two open ones: the shutter rests closed before and after.
-    max_pulses : int, optional
-        Most open runs.
-    fixed : str, optional
-        One character per chip: "1" forced open, "0" forced closed, "?" free.
-    max_open : int, optional
-        Longest open run.
-    min_period : int
-        Fewest chips from the start of one open run to the start of the next.
+    runs : RunLimits
     """
 
     chips: int
     open_range: tuple[int, int]
-    min_open: int = 1
-    min_closed: int = 1
-    max_pulses: int | None = None
-    fixed: str | None = None
-    max_open: int | None = None
-    min_period: int = 1
+    runs: RunLimits = RunLimits()
 
     @property
     def counts_runs(self) -> bool:
         """Whether a pulse's length decides what may follow: on its longest length, or on the gap after it."""
-        return self.longest < self.chips or self.period > self.min_open + self.min_closed
+        return self.longest < self.chips or self.period > self.runs.min_open + self.runs.min_closed
 
     @property
     def longest(self) -> int:
         """Longest open run that any code within the light can have."""
         light = min(self.open_range[1], self.chips)
-        return self.chips if self.max_open is None or self.max_open >= light else self.max_open
+        return self.chips if self.runs.max_open is None or self.runs.max_open >= light else self.runs.max_open
 
     @property
     def period(self) -> int:
         """Fewest chips from the start of one pulse to the start of the next, whichever limit says so."""
-        return max(self.min_period, self.min_open + self.min_closed)
+        return max(self.runs.min_period, self.runs.min_open + self.runs.min_closed)
 
     @property
     def fitting_pulses(self) -> int:
         """Most pulses for which there is time."""
-        return 1 + (self.chips - self.min_open) // self.period
+        return 1 + (self.chips - self.runs.min_open) // self.period
 
     @property
     def counts_opens(self) -> bool:
         """Whether ``open_range`` says anything that the other limits do not."""
-        return self.open_range[0] > self.min_open or self.open_range[1] < self.chips
+        return self.open_range[0] > self.runs.min_open or self.open_range[1] < self.chips
 
     @property
     def most_pulses(self) -> int | None:
         """Most pulses, or None when so many never fit anyway."""
-        return None if self.max_pulses is None or self.max_pulses >= self.fitting_pulses else self.max_pulses
+        return (
+            None
+            if self.runs.max_pulses is None or self.runs.max_pulses >= self.fitting_pulses
+            else self.runs.max_pulses
+        )
 
     def may_be(self, bit: int) -> BoolArray:
         """Which chips (n,) the mask lets be open (1) or closed (0)."""
-        return np.array([mark in ("?", str(bit)) for mark in self.fixed or "?" * self.chips])
+        return np.array([mark in ("?", str(bit)) for mark in self.runs.fixed or "?" * self.chips])
 
     def room(self, bit: int, length: int) -> BoolArray:
         """Whether a run of ``length`` chips of ``bit`` may start at each chip, (n + 1,)."""
@@ -136,7 +192,7 @@ class Limits:
 
     def steps(self) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         """List the steps from CLOSED and those from OPEN."""
-        gap, rest = self.min_closed, self.rest()
+        gap, rest = self.runs.min_closed, self.rest()
 
         def step(opened: int, closed: int, then: int, pulses: int = 0) -> Step:
             fits, after = self.room(1, opened), rest if then == OVER else self.room(0, closed)
@@ -145,13 +201,53 @@ class Limits:
 
         bounded = self.longest < self.chips
         # longer pulses may last and end as they like: nothing needs to remember when they began
-        free = min(max(self.min_open, self.min_period - gap), self.chips + 1)
+        free = min(max(self.runs.min_open, self.runs.min_period - gap), self.chips + 1)
         closed = [step(0, 1, CLOSED)]
         if not bounded:
             closed.append(step(free, 0, OPEN, 1))
-        for length in range(self.min_open, self.longest + 1 if bounded else free):
-            closed += [step(length, max(gap, self.min_period - length), CLOSED, 1), step(length, 0, OVER, 1)]
+        for length in range(self.runs.min_open, self.longest + 1 if bounded else free):
+            closed += [step(length, max(gap, self.runs.min_period - length), CLOSED, 1), step(length, 0, OVER, 1)]
         return tuple(closed), (step(1, 0, OPEN), step(0, gap, CLOSED), step(0, 0, OVER))
+
+    def satisfied(self, codes: NDArray[np.integer] | BoolArray) -> BoolArray:
+        """Which of (R, n) codes keep every limit, (R,) bool."""
+        is_open, runs = np.asarray(codes) != 0, self.runs
+        count = is_open.sum(axis=1)
+        ok = (count >= max(self.open_range[0], runs.min_open)) & (count <= self.open_range[1])
+        if runs.min_open > 1:
+            ok &= (_opening(is_open, runs.min_open) == is_open).all(axis=1)
+        if runs.min_closed > 1:
+            # before the first and after the last pulse the shutter is closed for longer than any limit
+            closed = np.pad(~is_open, ((0, 0), (runs.min_closed, runs.min_closed)), constant_values=True)
+            ok &= (_opening(closed, runs.min_closed) == closed).all(axis=1)
+        if runs.max_open is not None and runs.max_open < self.chips:
+            ok &= ~_opening(is_open, runs.max_open + 1).any(axis=1)
+        if runs.max_pulses is not None:
+            ok &= _starts(is_open).sum(axis=1) <= runs.max_pulses
+        if runs.min_period > 1:
+            period = min(runs.min_period, self.chips)
+            begun = np.pad(_starts(is_open).cumsum(axis=1), ((0, 0), (1, 0)))  # pulses before each chip
+            ok &= (begun[:, period:] - begun[:, :-period] <= 1).all(axis=1)
+        if runs.fixed is not None:
+            marks = np.frombuffer(runs.fixed.encode(), dtype=np.uint8)
+            ok &= ((marks == ord("?")) | (is_open == (marks == ord("1")))).all(axis=1)
+        return np.asarray(ok, dtype=np.bool_)
+
+
+def _starts(is_open: BoolArray) -> BoolArray:
+    """Tell where pulses start."""
+    return np.asarray(np.diff(is_open.astype(np.int8), axis=1, prepend=0) == 1, dtype=np.bool_)
+
+
+def _opening(mask: BoolArray, length: int) -> BoolArray:
+    """Keep what is covered by runs of at least ``length``."""
+    kept = np.zeros_like(mask)
+    if length > mask.shape[1]:
+        return kept
+    full = np.lib.stride_tricks.sliding_window_view(mask, length, axis=1).all(axis=2)
+    for shift in range(length):
+        kept[:, shift : shift + full.shape[1]] |= full
+    return kept
 
 
 def fixed_mask(
@@ -218,34 +314,30 @@ _NEVER = 1 << 30  # pulses of a code that does not exist
 def feasible(limits: Limits) -> bool:
     """Whether any code keeps the limits, exactly."""
     low, high = max(limits.open_range[0], 1), min(limits.open_range[1], limits.chips)
-    if low > high or limits.min_open > high:
+    if low > high or limits.runs.min_open > high:
         return False
-    if limits.fixed is None:
+    if limits.runs.fixed is None:
         fewest = _fewest_free_pulses(limits)
     else:
         # the same for every range: a front asks for each number of open chips
-        fewest = _fewest_pulses(replace(limits, open_range=(1, limits.chips), max_pulses=None))
-    return bool(fewest[low : high + 1].min() <= (limits.chips if limits.max_pulses is None else limits.max_pulses))
+        fewest = _fewest_pulses(Limits(limits.chips, (1, limits.chips), replace(limits.runs, max_pulses=None)))
+    return bool(
+        fewest[low : high + 1].min() <= (limits.chips if limits.runs.max_pulses is None else limits.runs.max_pulses)
+    )
 
 
 def conflicting(limits: Limits) -> tuple[str, ...]:
     """Name limits that no code keeps together, though it could if any one of them were dropped; none if feasible."""
-    dropped = {
-        "open_range": replace(limits, open_range=(1, limits.chips)).open_range,
-        "min_open": 1,
-        "min_closed": 1,
-        "max_open": None,
-        "min_period": 1,
-        "max_pulses": None,
-        "fixed": None,
-    }
     if feasible(limits):
         return ()
     kept = []
-    for name, none in dropped.items():
-        if getattr(limits, name) == none:
+    for name in ("open_range", *(one.name for one in fields(RunLimits))):
+        if name == "open_range":
+            without = replace(limits, open_range=(1, limits.chips))
+        else:
+            without = replace(limits, runs=replace(limits.runs, **{name: getattr(RunLimits(), name)}))
+        if without == limits:
             continue
-        without = replace(limits, **{name: none})  # type: ignore[arg-type]
         if feasible(without):
             kept.append(name)
         else:
@@ -264,12 +356,12 @@ def check_feasible(limits: Limits) -> None:
     names = conflicting(limits)
     if not names:
         return
-    marks = limits.fixed or ""
+    marks = limits.runs.fixed or ""
     values = {
         "open_range": "{}..{}".format(*limits.open_range),
         "fixed": f"({marks.count('1')} forced open, {marks.count('0')} forced closed)",
     }
-    words = [f"{name} {values.get(name, getattr(limits, name))}" for name in names]
+    words = [f"{name} {values[name] if name in values else getattr(limits.runs, name)}" for name in names]
     code = f"no code of {limits.chips} chips keeps"
     if len(words) == 1:
         raise ValueError(f"{words[0]}: {code} it")
@@ -282,10 +374,10 @@ def _fewest_free_pulses(limits: Limits) -> NDArray[np.int64]:
     opened = np.arange(limits.chips + 1)
     pulses = np.maximum(-(-opened // limits.longest), 1)
     # all but the last take a period at least, and within it may be open but for the gap
-    full = min(limits.longest, limits.period - limits.min_closed)
-    span = (pulses - 1) * limits.period + np.maximum(opened - (pulses - 1) * full, limits.min_open)
+    full = min(limits.longest, limits.period - limits.runs.min_closed)
+    span = (pulses - 1) * limits.period + np.maximum(opened - (pulses - 1) * full, limits.runs.min_open)
     # more pulses would take longer, and more open chips
-    return np.where((pulses * limits.min_open <= opened) & (span <= limits.chips), pulses, _NEVER)
+    return np.where((pulses * limits.runs.min_open <= opened) & (span <= limits.chips), pulses, _NEVER)
 
 
 @lru_cache(maxsize=8)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -14,7 +14,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.optics.timeline import check_lengths, checked_edges
 from cep.proofs.measure import CodeMetrics, measure, worst_of
-from cep.search.limits import Limits, check_feasible, checked_mask
+from cep.search.limits import Limits, RunLimits, check_feasible, checked_mask
 from cep.search.sampling import draw
 from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
@@ -45,19 +45,10 @@ class SearchProblem:
         Unknown: the worse of both directions counts. Forward: only the one given. Auto: as each trajectory says.
     rule : {"worst", "mean"}
         How scenarios combine; the mean is weighted.
-    min_open, min_closed : int
-        Shortest open run, and shortest closed run between two open ones, chips.
-    max_pulses : int, optional
-        Most open runs.
-    max_open : int, optional
-        Longest open run, chips.
-    min_period : int
-        Fewest chips from the start of one open run to the start of the next. Codes are not their mirror image's equals
-        then: it swaps starts and ends.
+    runs : RunLimits
+        Limits on runs and pulses, and forced chips.
     camera : Camera
         For the objective "mse".
-    fixed : str, optional
-        A character per chip: "1" forced open, "0" forced closed, "?" free; see :func:`cep.search.limits.fixed_mask`.
     response : ShutterResponse, optional
         How the shutter opens and closes along the scenarios; at once when omitted.
 
@@ -79,21 +70,13 @@ class SearchProblem:
     objective: str | tuple[tuple[str, float], ...] = "min-mtf"
     direction: DirectionRule = "auto"
     rule: Literal["worst", "mean"] = "worst"
-    min_open: int = 1
-    min_closed: int = 1
-    max_pulses: int | None = None
-    max_open: int | None = None
-    min_period: int = 1
+    runs: RunLimits = field(default_factory=RunLimits)
     camera: Camera = field(default_factory=Camera)
-    fixed: str | None = None
     response: ShutterResponse | None = None
 
     def __post_init__(self) -> None:
-        for name in ("chips", "min_open", "min_closed", "max_pulses", "max_open", "min_period"):
-            value = getattr(self, name)
-            unlimited = name in ("max_pulses", "max_open") and value is None
-            if not unlimited and (not isinstance(value, int) or value < 1):
-                raise ValueError(f"{name}: must be a whole number of at least 1, got {value!r}")
+        if not isinstance(self.chips, int) or self.chips < 1:
+            raise ValueError(f"chips: must be a whole number of at least 1, got {self.chips!r}")
         for name, allowed in (("direction", ("auto", "unknown", "forward")), ("rule", ("worst", "mean"))):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
@@ -112,7 +95,7 @@ class SearchProblem:
             edges = checked_edges(scenario.edges, self.chips)
             if self.response is not None:
                 check_lengths(edges, self.response)
-        object.__setattr__(self, "fixed", checked_mask(self.fixed, self.chips))
+        object.__setattr__(self, "runs", replace(self.runs, fixed=checked_mask(self.runs.fixed, self.chips)))
         self._check_feasible()
 
     @classmethod
@@ -129,33 +112,23 @@ class SearchProblem:
     def open_limits(self) -> tuple[int, int]:
         """Fewest and most open chips that the limits leave."""
         low, high = self.open_range or (1, self.chips)
-        return max(low, self.min_open), high
+        return max(low, self.runs.min_open), high
 
     @property
     def limits_runs(self) -> bool:
         """Whether runs, pulses or their period are limited, so that single flips and swaps seldom lead anywhere."""
-        bounded = self.max_pulses is not None or self.max_open is not None
-        return bounded or max(self.min_open, self.min_closed, self.min_period) > 1
+        return not self.runs.says_nothing
 
     @property
     def mirrors(self) -> bool:
         """Whether a code's mirror image keeps the limits on runs as well."""
-        return self.limits.period == self.min_open + self.min_closed
+        return self.limits.period == self.runs.min_open + self.runs.min_closed
 
     @property
     def limits(self) -> Limits:
         """Everything that a code must keep."""
         low, high = self.open_range or (1, self.chips)
-        return Limits(
-            self.chips,
-            (low, high),
-            self.min_open,
-            self.min_closed,
-            self.max_pulses,
-            self.fixed,
-            self.max_open,
-            self.min_period,
-        )
+        return Limits(self.chips, (low, high), self.runs)
 
     def both_directions(self, trajectory: Trajectory) -> bool:
         """Whether the reversed path is designed for as well; a uniform straight one is its own mirror image."""
@@ -165,7 +138,7 @@ class SearchProblem:
     @property
     def free_chips(self) -> NDArray[np.intp]:
         """Chips, by their index, that nothing forces open or closed."""
-        return np.flatnonzero([mark == "?" for mark in self.fixed or "?" * self.chips])
+        return np.flatnonzero([mark == "?" for mark in self.runs.fixed or "?" * self.chips])
 
     def directions(self, scenario: Scenario) -> tuple[bool, ...]:
         """Directions of a scenario that count: whether each is the reversed one."""
@@ -177,28 +150,7 @@ class SearchProblem:
 
     def satisfied(self, codes: NDArray[np.integer] | BoolArray) -> BoolArray:
         """Which of (R, n) codes keep every limit, (R,) bool."""
-        is_open = np.asarray(codes) != 0
-        low, high = self.open_limits
-        count = is_open.sum(axis=1)
-        ok = (count >= low) & (count <= high)
-        if self.min_open > 1:
-            ok &= (_opening(is_open, self.min_open) == is_open).all(axis=1)
-        if self.min_closed > 1:
-            # before the first and after the last pulse the shutter is closed for longer than any limit
-            closed = np.pad(~is_open, ((0, 0), (self.min_closed, self.min_closed)), constant_values=True)
-            ok &= (_opening(closed, self.min_closed) == closed).all(axis=1)
-        if self.max_open is not None and self.max_open < self.chips:
-            ok &= ~_opening(is_open, self.max_open + 1).any(axis=1)
-        if self.max_pulses is not None:
-            ok &= _starts(is_open).sum(axis=1) <= self.max_pulses
-        if self.min_period > 1:
-            period = min(self.min_period, self.chips)
-            begun = np.pad(_starts(is_open).cumsum(axis=1), ((0, 0), (1, 0)))  # pulses before each chip
-            ok &= (begun[:, period:] - begun[:, :-period] <= 1).all(axis=1)
-        if self.fixed is not None:
-            marks = np.frombuffer(self.fixed.encode(), dtype=np.uint8)
-            ok &= ((marks == ord("?")) | (is_open == (marks == ord("1")))).all(axis=1)
-        return np.asarray(ok, dtype=np.bool_)
+        return self.limits.satisfied(codes)
 
     def allows(self, code: ShutterCode) -> bool:
         """Whether a code keeps every limit."""
@@ -224,15 +176,16 @@ class SearchProblem:
 
     def _check_feasible(self) -> None:
         low, high = self.open_range or (1, self.chips)
-        if self.min_open > self.chips:
-            raise ValueError(f"min_open: runs of {self.min_open} open chips do not fit a code of {self.chips} chips")
+        shortest = self.runs.min_open
+        if shortest > self.chips:
+            raise ValueError(f"min_open: runs of {shortest} open chips do not fit a code of {self.chips} chips")
         if low > high:
             raise ValueError(f"open_range: fewest {low} is above most {high}")
         if low < 1 or high > self.chips:
             raise ValueError(f"open_range: must lie within 1..{self.chips} chips, got {low}..{high}")
-        if high < self.min_open:
+        if high < shortest:
             raise ValueError(
-                f"min_open: runs of {self.min_open} open chips conflict with at most {high} open chips (open_range)"
+                f"min_open: runs of {shortest} open chips conflict with at most {high} open chips (open_range)"
             )
         check_feasible(self.limits)
 
@@ -251,19 +204,3 @@ def open_range_of_duty(chips: int, low: float, high: float) -> tuple[int, int]:
     if fewest > most:
         raise ValueError(f"duty: no whole number of open chips out of {chips} lies within {low:g}:{high:g}")
     return fewest, most
-
-
-def _starts(is_open: BoolArray) -> BoolArray:
-    """Tell where pulses start."""
-    return np.asarray(np.diff(is_open.astype(np.int8), axis=1, prepend=0) == 1, dtype=np.bool_)
-
-
-def _opening(mask: BoolArray, length: int) -> BoolArray:
-    """Keep what is covered by runs of at least ``length``."""
-    kept = np.zeros_like(mask)
-    if length > mask.shape[1]:
-        return kept
-    full = np.lib.stride_tricks.sliding_window_view(mask, length, axis=1).all(axis=2)
-    for shift in range(length):
-        kept[:, shift : shift + full.shape[1]] |= full
-    return kept

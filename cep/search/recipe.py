@@ -257,12 +257,7 @@ def _listed(
         time_s=_LENGTH_ONLY_SHARE * time_s,
         threads=threads,
         open_range=problem.open_limits,
-        min_open=problem.min_open,
-        min_closed=problem.min_closed,
-        max_pulses=problem.max_pulses,
-        max_open=problem.max_open,
-        min_period=problem.min_period,
-        fixed=problem.fixed,
+        runs=problem.runs,
     )
     cut = length_only.stopped in ("time", "interrupted")
     yield listed("length-only code", length_only.code, stopped_early=cut)

@@ -50,7 +50,8 @@ def log_count(limits: Limits) -> float:
 
     Examples
     --------
-    >>> round(np.exp(log_count(Limits(6, (2, 2), min_closed=2))))  # 1001 010010 ...: neighbours, or two apart
+    >>> from cep.search.limits import RunLimits
+    >>> round(np.exp(log_count(Limits(6, (2, 2), RunLimits(min_closed=2)))))  # 1001 010010 ...
     11
     """
     if _free(limits):
@@ -64,7 +65,7 @@ def log_count(limits: Limits) -> float:
 
 
 def _free(limits: Limits) -> bool:
-    return limits.fixed is None and not limits.counts_runs
+    return limits.runs.fixed is None and not limits.counts_runs
 
 
 @lru_cache(maxsize=4)
@@ -73,7 +74,7 @@ def _free_table(limits: Limits) -> FloatArray:
     n, low, high = limits.chips, max(limits.open_range[0], 1), min(limits.open_range[1], limits.chips)
     most = limits.most_pulses or limits.fitting_pulses
     k, p = np.arange(n + 1)[:, None], np.arange(most + 1)[None]
-    spare_open, spare_closed = k - p * limits.min_open, n - k - (p - 1) * limits.min_closed
+    spare_open, spare_closed = k - p * limits.runs.min_open, n - k - (p - 1) * limits.runs.min_closed
     possible = (k >= low) & (k <= high) & (p >= 1) & (spare_open >= 0) & (spare_closed >= 0)
     log_factorial = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, 2 * n + 2)))])
 
@@ -92,10 +93,10 @@ def _draw_free(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[
     k, pulses = np.divmod(_pick(table.ravel(), count, rng), table.shape[1])
     most = int(pulses.max(initial=1))
     index = np.arange(most)
-    lengths = _compositions(k - pulses * limits.min_open, pulses, most, rng)
-    lengths += limits.min_open * (index < pulses[:, None])
-    gaps = _compositions(limits.chips - k - (pulses - 1) * limits.min_closed, pulses + 1, most + 1, rng)[:, :-1]
-    gaps[:, 1:] += limits.min_closed * (index[1:] < pulses[:, None])
+    lengths = _compositions(k - pulses * limits.runs.min_open, pulses, most, rng)
+    lengths += limits.runs.min_open * (index < pulses[:, None])
+    gaps = _compositions(limits.chips - k - (pulses - 1) * limits.runs.min_closed, pulses + 1, most + 1, rng)[:, :-1]
+    gaps[:, 1:] += limits.runs.min_closed * (index[1:] < pulses[:, None])
     ends = np.cumsum(gaps + lengths, axis=1)
     return _filled(limits.chips, ends - lengths, ends, index < pulses[:, None])
 
@@ -233,7 +234,7 @@ def _tilt(limits: Limits) -> float:
 
 def _few_pulses(limits: Limits, codes: NDArray[np.int8]) -> NDArray[np.bool_]:
     pulses = (np.diff(codes, axis=1, prepend=0) > 0).sum(axis=1)
-    return np.asarray(pulses <= (limits.max_pulses or limits.chips), dtype=np.bool_)
+    return np.asarray(pulses <= (limits.runs.max_pulses or limits.chips), dtype=np.bool_)
 
 
 def _pick(log_weights: FloatArray, count: int, rng: np.random.Generator) -> IntArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.proofs.measure import CodeMetrics, measure, worst_of
+from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Baseline
@@ -121,7 +122,7 @@ def expected_psnr_db(
     return np.stack(columns, axis=1)
 
 
-def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> Mapping[str, int | None]:
+def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tuple[RunLimits, int]:
     """Translate a device's limits on times into limits on chips, for :class:`cep.search.problem.SearchProblem`.
 
     A code within them is one that :meth:`hw.device.DeviceProfile.check` passes, and the other way round.
@@ -133,9 +134,8 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> Map
 
     Returns
     -------
-    mapping
-        ``min_open``, ``min_closed``, ``max_pulses``, ``max_open`` and ``min_period`` as the problem has them, and
-        ``most_open_chips`` of all runs together; the ones that set no limit are None, or 1.
+    RunLimits, int
+        And the most open chips of all runs together.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> Map
                 f"chip_ns: {profile.name} opens for {least_open_ns} to {profile.max_on_ns} ns, "
                 f"no whole number of chips of {chip_ns} ns does; shorter chips would"
             )
-    most_open_chips = None
+    most_open_chips = chips
     if profile.max_duty is not None:
         # the device compares rounded quotients: so do these two, or a code at the very limit would be refused
         most_open_chips = bisect_right(range(1, chips + 1), profile.max_duty, key=lambda opened: opened / chips)
@@ -179,14 +179,14 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> Map
     if profile.max_rate_hz is not None:
         # of chips, where every shorter one is too fast: a single opening is left
         min_period += bisect_left(range(1, chips), -profile.max_rate_hz, key=lambda period: -1e9 / (period * chip_ns))
-    return {
-        "min_open": min_open,
-        "min_closed": max(1, -(-least_closed_ns // chip_ns)),
-        "max_pulses": profile.max_pulses,
-        "max_open": max_open,
-        "min_period": min_period,
-        "most_open_chips": most_open_chips,
-    }
+    runs = RunLimits(
+        min_open=min_open,
+        min_closed=max(1, -(-least_closed_ns // chip_ns)),
+        max_pulses=profile.max_pulses,
+        max_open=max_open,
+        min_period=min_period,
+    )
+    return runs, most_open_chips
 
 
 def response_of_device(profile: DeviceProfile, chip_ns: int) -> ShutterResponse | None:

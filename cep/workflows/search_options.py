@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from cep.optics.camera import Camera
+    from cep.search.limits import RunLimits
     from cep.search.problem import Scenario, SearchProblem
     from cep.workflows.optimize import Search
     from hw.device import DeviceProfile
@@ -46,14 +47,9 @@ class SearchOptions:
     duty: str | None
     objective: str | None
     direction: str
-    min_open: int
-    max_open: int | None
-    min_closed: int
-    min_period: int
-    max_pulses: int | None
+    runs: RunLimits
     first_open: bool
     last_open: bool
-    fixed: str | None
     alternatives: bool
     speed: str | None
     drift: float | None
@@ -85,29 +81,21 @@ def problem_of(
         raise ValueError(f"--direction: must be one of {', '.join(DIRECTIONS)}, got {wish.direction!r}")
     low, high = open_limits(wish.chips, wish.open_chips, wish.duty)
     shutter = profile or DeviceProfile(name="any")
-    device: Mapping[str, Any] = limits_of_device(shutter, chips=wish.chips, chip_ns=wish.chip_ns)
-    most = device["most_open_chips"]
-    if most is not None:
-        if most < low:
-            raise ValueError(
-                f"{shutter.name}: at most {most} of {wish.chips} chips may be open, at least {low} were asked for"
-            )
-        high = min(high, most)
+    playable, most = limits_of_device(shutter, chips=wish.chips, chip_ns=wish.chip_ns)
+    if most < low:
+        raise ValueError(
+            f"{shutter.name}: at most {most} of {wish.chips} chips may be open, at least {low} were asked for"
+        )
     straight = uniform_length_px(stored.trajectory) is not None
     return SearchProblem(
         chips=wish.chips,
         scenarios=_scenarios(wish, stored, rng),
-        open_range=(low, high),
+        open_range=(low, min(high, most)),
         objective=_objective(wish.objective) if wish.objective else ("min-mtf" if straight else "mse"),
         direction=wish.direction,  # type: ignore[arg-type]
         rule=wish.rule,  # type: ignore[arg-type]
-        min_open=max(wish.min_open, device["min_open"]),
-        min_closed=max(wish.min_closed, device["min_closed"]),
-        max_pulses=_smallest(wish.max_pulses, device["max_pulses"]),
-        max_open=_smallest(wish.max_open, device["max_open"]),
-        min_period=max(wish.min_period, device["min_period"]),
+        runs=replace(wish.runs, fixed=_mask(wish)).tightened(playable),
         camera=camera,
-        fixed=_mask(wish),
         response=None if profile is None else response_of_device(profile, wish.chip_ns),
     )
 
@@ -143,10 +131,6 @@ def open_limits(chips: int, open_chips: str | None, duty: str | None) -> tuple[i
     if not 1 <= least <= most <= chips:
         raise ValueError(f"--open: must lie within 1..{chips}, got {open_chips}")
     return least, most
-
-
-def _smallest(*limits: int | None) -> int | None:
-    return min((limit for limit in limits if limit is not None), default=None)
 
 
 def _objective(text: str) -> str | tuple[tuple[str, float], ...]:
@@ -185,14 +169,15 @@ def _scenarios(wish: SearchOptions, stored: StoredMotion, rng: np.random.Generat
 def _mask(wish: SearchOptions) -> str | None:
     from cep.search.limits import fixed_mask
 
-    if wish.fixed is None and not (wish.first_open or wish.last_open):
+    fixed = wish.runs.fixed
+    if fixed is None and not (wish.first_open or wish.last_open):
         return None
-    marks = wish.fixed or "?" * wish.chips
+    marks = fixed or "?" * wish.chips
     for asked, name, place in ((wish.first_open, "--first-open", 0), (wish.last_open, "--last-open", -1)):
         if asked and marks[place : place + 1 or None] == "0":
             raise ValueError(f"{name}: --fixed closes that chip")
     if len(marks) != wish.chips or set(marks) - set("01?"):
-        raise ValueError(f"--fixed: must be {wish.chips} characters of 1, 0 and ?, got {wish.fixed!r}")
+        raise ValueError(f"--fixed: must be {wish.chips} characters of 1, 0 and ?, got {fixed!r}")
     return fixed_mask(
         wish.chips,
         first_open=wish.first_open,
@@ -278,16 +263,13 @@ def task_of(
     problem = problem_of(wish, stored, camera=camera, profile=profile, rng=np.random.default_rng([how.seed, 2]))
     straight = on_the_circle(problem)
     described = {
-        **{name: value for name, value in asdict(wish).items() if name not in ("open_chips", "duty", "chip_ns")},
+        **{
+            name: value for name, value in asdict(wish).items() if name not in ("open_chips", "duty", "chip_ns", "runs")
+        },
         **source,
+        **asdict(problem.runs),
         "open_range": problem.open_limits,
         "objective": problem.objective,
-        "min_open": problem.min_open,
-        "max_open": problem.max_open,
-        "min_closed": problem.min_closed,
-        "min_period": problem.min_period,
-        "max_pulses": problem.max_pulses,
-        "fixed": problem.fixed,
         "camera": problem.camera.to_dict(),
         "method": how.method,
         "seed": how.seed,

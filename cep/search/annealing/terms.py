@@ -304,11 +304,11 @@ def limits_of(problem: SearchProblem) -> Limits:
         problem.chips,
         low,
         high,
-        problem.min_open,
-        problem.min_closed,
-        problem.max_pulses or problem.chips,
-        problem.max_open or problem.chips,
-        problem.min_period,
+        problem.runs.min_open,
+        problem.runs.min_closed,
+        problem.runs.max_pulses or problem.chips,
+        problem.runs.max_open or problem.chips,
+        problem.runs.min_period,
         problem.limits_runs,
     )
 

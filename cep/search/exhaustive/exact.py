@@ -16,7 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from os import cpu_count
 from threading import Lock
@@ -52,7 +52,7 @@ _DARK = 1e-9  # |H| at which no code passes anything
 
 def codes_to_count(problem: SearchProblem) -> int:
     """Say how many codes a proof goes through, mirror images mostly once; a core does billions a second."""
-    if problem.scenarios or problem.fixed is not None:
+    if problem.scenarios or problem.runs.fixed is not None:
         return int(2**problem.chips)
     return int(2 ** max(problem.chips - 1 - problem.mirrors, 0))
 
@@ -113,7 +113,7 @@ class _Proof:
         self.problem = problem
         self.circle = not problem.scenarios
         # shifts are as good as the code, and so are their mirror images that keep the limits
-        self.free = self.circle and problem.fixed is None
+        self.free = self.circle and problem.runs.fixed is None
         self.basis = _basis(problem)
         if np.abs(self.basis).sum(axis=0).min() < _DARK:
             raise ValueError("scenarios: at some frequency no code passes anything, every minimum is 0")
@@ -214,7 +214,9 @@ class _Proof:
             self.tables = Tables(self.basis, self.limits, self.limit)
         elif self.limit > _GROWTH * self.tables.limit:
             self.tables = self.tables.tightened(self.limit)
-        return Scanner(self.tables, length, ends_open=self.free, mirrors=self.problem.mirrors, fixed=self.problem.fixed)
+        return Scanner(
+            self.tables, length, ends_open=self.free, mirrors=self.problem.mirrors, fixed=self.problem.runs.fixed
+        )
 
     def _slice(self, scanner: Scanner, heads: tuple[int, int], halt: NDArray[np.bool_]) -> NDArray[np.int64]:
         span, counts = np.array([*heads, 0], dtype=np.int64), np.zeros(4, dtype=np.int64)
@@ -256,9 +258,8 @@ class _Proof:
         return code, minimum, log
 
     def _limits(self) -> dict[str, int | str | None]:
-        names = ("min_open", "min_closed", "max_pulses", "max_open", "min_period", "fixed")
         low, high = self.problem.open_limits
-        return {"fewest_open": low, "most_open": high} | {name: getattr(self.problem, name) for name in names}
+        return {"fewest_open": low, "most_open": high} | asdict(self.problem.runs)
 
     def _domain(self) -> str:
         return "the unit circle" if self.circle else f"{self.basis.shape[1]} band samples"

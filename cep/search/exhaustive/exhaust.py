@@ -309,11 +309,11 @@ class Limits(NamedTuple):
         return cls(
             low,
             high,
-            problem.min_open,
-            problem.min_closed,
-            problem.max_pulses or _NONE,
-            problem.max_open or _NONE,
-            problem.min_period,
+            problem.runs.min_open,
+            problem.runs.min_closed,
+            problem.runs.max_pulses or _NONE,
+            problem.runs.max_open or _NONE,
+            problem.runs.min_period,
         )
 
 

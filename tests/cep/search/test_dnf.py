@@ -9,6 +9,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.mtf import chip_noise_db
 from cep.proofs.measure import measure
 from cep.search.dnf import dnf_code, dnf_problem
+from cep.search.limits import RunLimits
 from motdiff.trajectory import Trajectory
 
 
@@ -45,7 +46,9 @@ def test_the_factor_itself_would_ask_for_a_single_chip():
 
 
 def test_the_limits_are_kept():
-    code = dnf_code(20.0, 24, rng=np.random.default_rng(3), steps=5_000, open_range=(8, 12), min_open=2, max_pulses=4)
+    code = dnf_code(
+        20.0, 24, rng=np.random.default_rng(3), steps=5000, open_range=(8, 12), runs=RunLimits(min_open=2, max_pulses=4)
+    )
     assert 8 <= code.open_chips <= 12
     assert code.pulses <= 4
     assert min(length for bit, length in code.runs if bit) >= 2

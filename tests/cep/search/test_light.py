@@ -7,6 +7,7 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
 from cep.search.light import RandomCodes, best_snapshot, best_strobe, random_codes
+from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
@@ -78,10 +79,10 @@ def test_two_chips_have_no_room_for_a_strobe():
 
 LIMITS = {
     "light": {"open_range": (5, 6)},
-    "runs": {"open_range": (4, 9), "min_open": 2, "min_closed": 2, "max_open": 3},
-    "period": {"min_period": 5, "max_pulses": 2},
-    "forced": {"fixed": "????1?????0???"},
-    "forced far apart": {"fixed": "?1???????0??1?"},
+    "runs": {"open_range": (4, 9), "runs": RunLimits(min_open=2, min_closed=2, max_open=3)},
+    "period": {"runs": RunLimits(min_period=5, max_pulses=2)},
+    "forced": {"runs": RunLimits(fixed="????1?????0???")},
+    "forced far apart": {"runs": RunLimits(fixed="?1???????0??1?")},
 }
 
 
@@ -108,7 +109,7 @@ def test_the_strobe_within_limits_is_the_best_of_whole_pulses_that_keep_them(lim
     for width in range(1, chips):
         for period in range(width + 1, chips):
             for pulses in range(2, chips):
-                for first in range(chips if "fixed" in limits else 1):
+                for first in range(chips if judge.problem.runs.fixed else 1):
                     ends = [first + k * period + width for k in range(pulses)]
                     if ends[-1] <= chips:
                         every.add(tuple(any(end - width <= i < end for end in ends) for i in range(chips)))
@@ -121,11 +122,11 @@ def test_the_strobe_within_limits_is_the_best_of_whole_pulses_that_keep_them(lim
 
 
 def test_where_one_pulse_is_all_there_may_be_no_strobe_keeps_the_limits():
-    assert best_strobe(objective(BENT, 14, max_pulses=1), within_limits=True) is None
+    assert best_strobe(objective(BENT, 14, runs=RunLimits(max_pulses=1)), within_limits=True) is None
 
 
 def test_random_codes_come_ranked_with_their_spread():
-    judge = objective(BENT, 16, open_range=(6, 9), min_open=2)
+    judge = objective(BENT, 16, open_range=(6, 9), runs=RunLimits(min_open=2))
     found = random_codes(judge, 41, rng=np.random.default_rng(0))
     assert judge.problem.satisfied(found.codes).all()
     assert (np.diff(found.costs_db) >= 0).all()

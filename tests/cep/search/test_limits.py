@@ -12,6 +12,7 @@ from cep.optics.code import ShutterCode
 from cep.search import sampling
 from cep.search.limits import (
     Limits,
+    RunLimits,
     _fewest_free_pulses,
     _fewest_pulses,
     check_feasible,
@@ -31,12 +32,14 @@ def some_limits(draw_one, most_chips=10, masks=True, runs=True):
     return Limits(
         chips,
         (low, draw_one(st.integers(low, chips))),
-        draw_one(st.integers(1, 4)),
-        draw_one(st.integers(1, 4)),
-        draw_one(st.none() | st.integers(1, 4)),
-        checked_mask(mask, chips),
-        draw_one(st.none() | st.integers(1, 6)) if runs else None,
-        draw_one(st.integers(1, 8)) if runs else 1,
+        RunLimits(
+            min_open=draw_one(st.integers(1, 4)),
+            min_closed=draw_one(st.integers(1, 4)),
+            max_pulses=draw_one(st.none() | st.integers(1, 4)),
+            fixed=checked_mask(mask, chips),
+            max_open=draw_one(st.none() | st.integers(1, 6)) if runs else None,
+            min_period=draw_one(st.integers(1, 8)) if runs else 1,
+        ),
     )
 
 
@@ -48,11 +51,11 @@ def keeps(bits, limits):
     starts = [place for place, bit in enumerate(bits) if bit == "1" and bits[:place][-1:] != "1"]
     return (
         limits.open_range[0] <= bits.count("1") <= limits.open_range[1]
-        and all(length >= (limits.min_open if bit else limits.min_closed) for bit, length in runs)
-        and (limits.max_pulses is None or ShutterCode(bits).pulses <= limits.max_pulses)
-        and (limits.max_open is None or all(length <= limits.max_open for bit, length in runs if bit))
-        and all(after - before >= limits.min_period for before, after in itertools.pairwise(starts))
-        and all(mark in ("?", bit) for mark, bit in zip(limits.fixed or bits, bits, strict=True))
+        and all(length >= (limits.runs.min_open if bit else limits.runs.min_closed) for bit, length in runs)
+        and (limits.runs.max_pulses is None or ShutterCode(bits).pulses <= limits.runs.max_pulses)
+        and (limits.runs.max_open is None or all(length <= limits.runs.max_open for bit, length in runs if bit))
+        and all(after - before >= limits.runs.min_period for before, after in itertools.pairwise(starts))
+        and all(mark in ("?", bit) for mark, bit in zip(limits.runs.fixed or bits, bits, strict=True))
     )
 
 
@@ -106,17 +109,17 @@ def test_closed_form_and_walks_count_the_same(limits):
     [
         Limits(7, (1, 7)),
         Limits(8, (4, 4)),
-        Limits(9, (3, 6), 2, 2, 2),
-        Limits(9, (1, 9), 1, 3),
-        Limits(7, (1, 7), fixed="1?????1"),
-        Limits(9, (3, 6), 2, 2, 2, "???0????1"),
-        Limits(9, (4, 5), 1, 2, 3, "????1????"),
-        Limits(10, (1, 10), 2, 1, 2, "0?????????"),
-        Limits(9, (1, 9), max_open=2),
-        Limits(9, (1, 9), min_period=4),
-        Limits(10, (3, 6), 1, 2, max_open=3, min_period=4),
-        Limits(10, (1, 10), 2, 1, 3, max_open=2, min_period=5),
-        Limits(10, (2, 7), 1, 1, 2, "?1????????", max_open=4, min_period=6),
+        Limits(9, (3, 6), RunLimits(min_open=2, min_closed=2, max_pulses=2)),
+        Limits(9, (1, 9), RunLimits(min_closed=3)),
+        Limits(7, (1, 7), RunLimits(fixed="1?????1")),
+        Limits(9, (3, 6), RunLimits(min_open=2, min_closed=2, max_pulses=2, fixed="???0????1")),
+        Limits(9, (4, 5), RunLimits(min_closed=2, max_pulses=3, fixed="????1????")),
+        Limits(10, (1, 10), RunLimits(min_open=2, max_pulses=2, fixed="0?????????")),
+        Limits(9, (1, 9), RunLimits(max_open=2)),
+        Limits(9, (1, 9), RunLimits(min_period=4)),
+        Limits(10, (3, 6), RunLimits(min_closed=2, max_open=3, min_period=4)),
+        Limits(10, (1, 10), RunLimits(min_open=2, max_pulses=3, max_open=2, min_period=5)),
+        Limits(10, (2, 7), RunLimits(max_pulses=2, fixed="?1????????", max_open=4, min_period=6)),
     ],
 )
 @pytest.mark.parametrize("closed_form", [True, False])
@@ -134,21 +137,26 @@ def test_every_code_is_equally_likely(limits, closed_form):
 
 def test_published_numbers():
     assert np.exp(log_count(Limits(52, (26, 26)))) == pytest.approx(495918532948104)  # 52 over 26
-    assert np.exp(log_count(Limits(30, (1, 30), min_closed=29))) == pytest.approx(30 * 31 / 2)  # one run, anywhere
-    lucas = Limits(20, (1, 20), min_open=20)
+    one_run = Limits(30, (1, 30), RunLimits(min_closed=29))  # anywhere
+    assert np.exp(log_count(one_run)) == pytest.approx(30 * 31 / 2)
+    lucas = Limits(20, (1, 20), RunLimits(min_open=20))
     assert np.exp(log_count(lucas)) == pytest.approx(1)
     # words without two ones in a row (Fibonacci) and without three (tribonacci), less the one without any
-    assert np.exp(log_count(Limits(30, (1, 30), max_open=1))) == pytest.approx(2178309 - 1)
-    assert np.exp(log_count(Limits(30, (1, 30), max_open=2))) == pytest.approx(98950096 - 1)
+    assert np.exp(log_count(Limits(30, (1, 30), RunLimits(max_open=1)))) == pytest.approx(2178309 - 1)
+    assert np.exp(log_count(Limits(30, (1, 30), RunLimits(max_open=2)))) == pytest.approx(98950096 - 1)
     # ones at least three apart (Narayana's cows)
-    assert np.exp(log_count(Limits(30, (1, 30), max_open=1, min_period=3))) == pytest.approx(125491 - 1)
+    assert np.exp(log_count(Limits(30, (1, 30), RunLimits(max_open=1, min_period=3)))) == pytest.approx(125491 - 1)
 
 
 @pytest.mark.parametrize("chips", [200, 600])
 @pytest.mark.parametrize("mask", [None, {"first_open": True, "last_open": True, "forced_closed": range(40, 60)}])
 def test_long_codes_keep_their_limits(chips, mask):
-    limits = Limits(chips, (chips // 3, chips // 2), 2, 3, 30, mask and fixed_mask(chips, **mask))
-    for one in (limits, replace(limits, max_open=chips // 20 + 10, min_period=9)):
+    limits = Limits(
+        chips,
+        (chips // 3, chips // 2),
+        RunLimits(min_open=2, min_closed=3, max_pulses=30, fixed=mask and fixed_mask(chips, **mask)),
+    )
+    for one in (limits, replace(limits, runs=replace(limits.runs, max_open=chips // 20 + 10, min_period=9))):
         check_feasible(one)
         codes = text_of(draw(one, 8, rng=np.random.default_rng(0)))
         assert all(keeps(bits, one) for bits in codes)
@@ -158,7 +166,9 @@ def test_long_codes_keep_their_limits(chips, mask):
 @pytest.mark.parametrize("most", [2, 3, 12])
 @pytest.mark.parametrize("runs", [{}, {"max_open": 11, "min_period": 3}])
 def test_too_large_a_table_tilts_towards_fewer_pulses_and_keeps_the_limits(monkeypatch, most, runs):
-    limits = Limits(40, (15, 20), 1, 1, most, fixed_mask(40, first_open=True, last_open=True), **runs)
+    limits = Limits(
+        40, (15, 20), RunLimits(max_pulses=most, fixed=fixed_mask(40, first_open=True, last_open=True), **runs)
+    )
     exact = draw(limits, 400, rng=np.random.default_rng(0))
     monkeypatch.setattr(sampling, "_MOST_NUMBERS", 5000)
     codes = draw(limits, 400, rng=np.random.default_rng(0))
@@ -173,14 +183,11 @@ def test_too_large_a_table_tilts_towards_fewer_pulses_and_keeps_the_limits(monke
 @settings(max_examples=150, deadline=None)
 def test_conflicts_are_real_and_smallest(limits):
     names = conflicting(limits)
-    free = {
-        "open_range": (1, limits.chips), "min_open": 1, "min_closed": 1, "max_pulses": None, "fixed": None,
-        "max_open": None, "min_period": 1,
-    }  # fmt: skip
 
     def codes_with(kept):
-        left = {name: getattr(limits, name) if name in kept else none for name, none in free.items()}
-        return every_code(Limits(limits.chips, **left))
+        runs = {name: getattr(limits.runs, name) for name in kept if name != "open_range"}
+        light = limits.open_range if "open_range" in kept else (1, limits.chips)
+        return every_code(Limits(limits.chips, light, RunLimits(**runs)))
 
     assert bool(names) == (not every_code(limits))
     if names:
@@ -192,26 +199,35 @@ def test_conflicts_are_real_and_smallest(limits):
 @pytest.mark.parametrize(
     ("limits", "line"),
     [
-        (Limits(4, (1, 4), fixed="0000"), "fixed (0 forced open, 4 forced closed): no code of 4 chips keeps it"),
         (
-            Limits(52, (30, 30), 1, 3, 9, "1??" + "0?1?" * 12 + "1"),
+            Limits(4, (1, 4), RunLimits(fixed="0000")),
+            "fixed (0 forced open, 4 forced closed): no code of 4 chips keeps it",
+        ),
+        (
+            Limits(52, (30, 30), RunLimits(min_closed=3, max_pulses=9, fixed="1??" + "0?1?" * 12 + "1")),
             "max_pulses 9 and fixed (14 forced open, 12 forced closed) conflict: no code of 52 chips keeps both",
         ),
         (
-            Limits(12, (9, 12), 1, 4, None, "1????0?????1"),
+            Limits(12, (9, 12), RunLimits(min_closed=4, fixed="1????0?????1")),
             "open_range 9..12, min_closed 4 and fixed (2 forced open, 1 forced closed) conflict: "
             "no code of 12 chips keeps all 3",
         ),
-        (Limits(9, (1, 9), 4, max_open=3), "min_open 4 and max_open 3 conflict: no code of 9 chips keeps both"),
         (
-            Limits(20, (9, 20), max_open=3, min_period=9),
+            Limits(9, (1, 9), RunLimits(min_open=4, max_open=3)),
+            "min_open 4 and max_open 3 conflict: no code of 9 chips keeps both",
+        ),
+        (
+            Limits(20, (9, 20), RunLimits(max_open=3, min_period=9)),
             "open_range 9..20, max_open 3 and min_period 9 conflict: no code of 20 chips keeps all 3",
         ),
         (
-            Limits(9, (1, 9), min_period=5, fixed="1?0?1????"),
+            Limits(9, (1, 9), RunLimits(min_period=5, fixed="1?0?1????")),
             "min_period 5 and fixed (2 forced open, 1 forced closed) conflict: no code of 9 chips keeps both",
         ),
-        (Limits(9, (2, 3), 4), "open_range 2..3 and min_open 4 conflict: no code of 9 chips keeps both"),
+        (
+            Limits(9, (2, 3), RunLimits(min_open=4)),
+            "open_range 2..3 and min_open 4 conflict: no code of 9 chips keeps both",
+        ),
     ],
 )
 def test_the_line_names_what_conflicts(limits, line):

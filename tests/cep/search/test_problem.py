@@ -12,7 +12,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
 from cep.optics.response import ShutterResponse
 from cep.proofs.measure import measure, worst_of
-from cep.search.limits import Limits, feasible, fixed_mask
+from cep.search.limits import Limits, RunLimits, feasible, fixed_mask
 from cep.search.problem import Scenario, SearchProblem
 from cep.search.scenarios import drifted
 from motdiff.trajectory import Trajectory
@@ -26,26 +26,26 @@ SLOW = ShutterResponse(chip_ns=100, rise_ns=60, fall_ns=80, on_bias_ns=10)
 @settings(max_examples=60, deadline=None)
 def test_drawn_codes_keep_every_limit(seed, chips, data):
     low = data.draw(st.integers(1, chips))
-    options = {
-        "open_range": (low, data.draw(st.integers(low, chips))),
-        "min_open": data.draw(st.integers(1, 3)),
-        "min_closed": data.draw(st.integers(1, 4)),
-        "max_pulses": data.draw(st.none() | st.integers(1, 6)),
-        "max_open": data.draw(st.none() | st.integers(1, 9)),
-        "min_period": data.draw(st.integers(1, 9)),
-        "fixed": data.draw(st.none() | st.text("01" + "?" * 8, min_size=chips, max_size=chips)),
-    }
-    if not feasible(Limits(chips, **options)):
+    light = (low, data.draw(st.integers(low, chips)))
+    runs = RunLimits(
+        min_open=data.draw(st.integers(1, 3)),
+        min_closed=data.draw(st.integers(1, 4)),
+        max_pulses=data.draw(st.none() | st.integers(1, 6)),
+        max_open=data.draw(st.none() | st.integers(1, 9)),
+        min_period=data.draw(st.integers(1, 9)),
+        fixed=data.draw(st.none() | st.text("01" + "?" * 8, min_size=chips, max_size=chips)),
+    )
+    if not feasible(Limits(chips, light, runs)):
         with pytest.raises(ValueError, match=r"conflict|no code of"):
-            SearchProblem(chips=chips, **options)
+            SearchProblem(chips=chips, open_range=light, runs=runs)
         return
-    problem = SearchProblem(chips=chips, **options)
+    problem = SearchProblem(chips=chips, open_range=light, runs=runs)
     codes = problem.random_codes(12, rng=np.random.default_rng(seed))
     assert codes.shape == (12, chips)
     assert problem.satisfied(codes).all()
-    if problem.fixed:
-        free = np.array([mark == "?" for mark in problem.fixed])
-        assert (codes[:, ~free] == [int(mark) for mark in problem.fixed if mark != "?"]).all()
+    if problem.runs.fixed:
+        free = np.array([mark == "?" for mark in problem.runs.fixed])
+        assert (codes[:, ~free] == [int(mark) for mark in problem.runs.fixed if mark != "?"]).all()
         broken = codes[:1].copy()
         broken[0, int(np.flatnonzero(~free)[0])] ^= 1
         assert not problem.satisfied(broken)[0]
@@ -53,9 +53,9 @@ def test_drawn_codes_keep_every_limit(seed, chips, data):
 
 def test_forced_chips_are_a_limit_like_others():
     mask = fixed_mask(6, first_open=True, forced_closed=[2])
-    problem = SearchProblem(chips=6, fixed=mask)
-    assert problem.limits.fixed == mask
-    assert SearchProblem(chips=6, fixed="??????").fixed is None
+    problem = SearchProblem(chips=6, runs=RunLimits(fixed=mask))
+    assert problem.limits.runs.fixed == mask
+    assert SearchProblem(chips=6, runs=RunLimits(fixed="??????")).runs.fixed is None
     kept = problem.satisfied(np.array([[1, 1, 0, 0, 1, 1], [0, 1, 0, 0, 1, 1], [1, 1, 1, 0, 1, 1]]))
     assert kept.tolist() == [True, False, False]
 
@@ -63,20 +63,21 @@ def test_forced_chips_are_a_limit_like_others():
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        ({"fixed": "1?"}, "fixed: must have one character for each of 9 chips, got 2"),
-        ({"fixed": "1???????x"}, "fixed: must be a string of 0"),
-        ({"fixed": "000000000"}, "fixed (0 forced open, 9 forced closed): no code of 9 chips keeps it"),
+        ({"runs": RunLimits(fixed="1?")}, "fixed: must have one character for each of 9 chips, got 2"),
+        ({"runs": RunLimits(fixed="1???????x")}, "fixed: must be a string of 0"),
+        ({"runs": RunLimits(fixed="000000000")}, "fixed (0 forced open, 9 forced closed): no code of 9 chips keeps it"),
         (
-            {"fixed": "10?????01", "min_open": 2},
+            {"runs": RunLimits(fixed="10?????01", min_open=2)},
             "min_open 2 and fixed (2 forced open, 2 forced closed) conflict: no code of 9 chips keeps both",
         ),
         (
-            {"open_range": (7, 9), "max_open": 3, "min_period": 5},
+            {"open_range": (7, 9), "runs": RunLimits(max_open=3, min_period=5)},
             "open_range 7..9, max_open 3 and min_period 5 conflict: no code of 9 chips keeps all 3",
         ),
-        ({"max_open": 0}, "max_open: must be a whole number of at least 1, got 0"),
-        ({"min_period": None}, "min_period: must be a whole number of at least 1, got None"),
-        ({"open_range": (2, 4), "min_open": 5}, "min_open: runs of 5 open chips conflict with at most 4 open chips"),
+        (
+            {"open_range": (2, 4), "runs": RunLimits(min_open=5)},
+            "min_open: runs of 5 open chips conflict with at most 4 open chips",
+        ),
         ({"response": SLOW}, "response: needs a motion (scenarios)"),
         ({"scenarios": (Scenario(BENT, edges=np.linspace(0, 1, 9)),)}, "edges: 9 chips need 10 edges"),
         (
@@ -90,6 +91,18 @@ def test_bad_problems_are_named(options, line):
         SearchProblem(chips=9, **options)
     assert str(caught.value).startswith(line)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("limit", "line"),
+    [
+        ({"max_open": 0}, "max_open: must be a whole number of at least 1, got 0"),
+        ({"min_period": None}, "min_period: must be a whole number of at least 1, got None"),
+    ],
+)
+def test_limits_on_runs_are_whole_numbers(limit, line):
+    with pytest.raises(ValueError, match=f"^{line}$"):
+        RunLimits(**limit)
 
 
 def test_measuring_counts_every_scenario_direction_and_the_shutter():

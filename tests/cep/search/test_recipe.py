@@ -11,6 +11,7 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.search import recipe
+from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
 from cep.search.recipe import baselines, search_code
@@ -127,15 +128,14 @@ def problems(draw):
     low = draw(st.integers(1, chips // 2))
     limits = {"open_range": (low, draw(st.integers(low, chips)))}
     if draw(st.booleans()):
-        limits |= {
-            "min_open": draw(st.integers(1, 3)),
-            "min_closed": draw(st.integers(1, 3)),
-            "max_pulses": draw(st.none() | st.integers(1, 4)),
-            "max_open": draw(st.none() | st.integers(3, 6)),
-            "min_period": draw(st.integers(1, 5)),
-        }
-    if draw(st.booleans()):
-        limits["fixed"] = draw(st.text("1??0?", min_size=chips, max_size=chips))
+        limits["runs"] = RunLimits(
+            min_open=draw(st.integers(1, 3)),
+            min_closed=draw(st.integers(1, 3)),
+            max_pulses=draw(st.none() | st.integers(1, 4)),
+            max_open=draw(st.none() | st.integers(3, 6)),
+            min_period=draw(st.integers(1, 5)),
+            fixed=draw(st.none() | st.text("1??0?", min_size=chips, max_size=chips)),
+        )
     if kept and draw(st.booleans()):
         limits["response"] = ShutterResponse(chip_ns=1000, rise_ns=400, fall_ns=300)
     mix = (("min-mtf", 0.3), ("noise", 1.0))

@@ -11,6 +11,7 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.proofs.measure import measure
+from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from cep.workflows.compare import check_resolved, expected_psnr_db, judge, limits_of_device, response_of_device
 from hw.device import DeviceProfile, load_profile
@@ -61,12 +62,9 @@ def test_a_devices_limits_in_chips():
         name="slow", min_on_ns=1_500, max_on_ns=5_999, on_bias_ns=200, tick_ns=100, min_off_ns=900, dead_time_ns=2_100,
         max_duty=0.5, max_pulses=4, max_rate_hz=150e3, max_chips=64,
     )  # fmt: skip
-    assert limits_of_device(slow, chips=20, chip_ns=1_000) == {
-        "min_open": 2, "min_closed": 3, "max_pulses": 4, "max_open": 5, "min_period": 7, "most_open_chips": 10,
-    }  # fmt: skip
-    assert limits_of_device(DeviceProfile(name="any"), chips=20, chip_ns=1) == {
-        "min_open": 1, "min_closed": 1, "max_pulses": None, "max_open": None, "min_period": 1, "most_open_chips": None,
-    }  # fmt: skip
+    runs = RunLimits(min_open=2, min_closed=3, max_pulses=4, max_open=5, min_period=7)
+    assert limits_of_device(slow, chips=20, chip_ns=1_000) == (runs, 10)
+    assert limits_of_device(DeviceProfile(name="any"), chips=20, chip_ns=1) == (RunLimits(), 20)
 
 
 @pytest.mark.parametrize(
@@ -128,9 +126,8 @@ def test_codes_within_the_translated_limits_are_those_that_can_be_played(limits,
     codes = np.array(list(itertools.product((0, 1), repeat=chips)), dtype=np.int8)[1:]
     played = np.array([not device.check(Program.from_bits(code.tolist(), chip_ns=chip_ns)) for code in codes])
     try:
-        found = dict(limits_of_device(device, chips=chips, chip_ns=chip_ns))
-        most = found.pop("most_open_chips")
-        problem = SearchProblem(chips=chips, open_range=(1, chips if most is None else most), **found)
+        runs, most = limits_of_device(device, chips=chips, chip_ns=chip_ns)
+        problem = SearchProblem(chips=chips, open_range=(1, most), runs=runs)
     except ValueError:
         problem = None
     if problem is None:
@@ -159,7 +156,7 @@ def test_chip_times_are_whole_ticks_within_range(chip_ns, line):
             refused()
         assert str(caught.value).endswith(line)
     for played in (1_000, 1_500, 3_000):
-        assert limits_of_device(device, chips=8, chip_ns=played)["min_open"] == 1
+        assert limits_of_device(device, chips=8, chip_ns=played)[0].min_open == 1
     free = DeviceProfile(name="free", tick_ns=300)
     with pytest.raises(ValueError, match="from 300 ns, got 1000 ns; 900 or 1200 ns would do"):
         limits_of_device(free, chips=8, chip_ns=1_000)

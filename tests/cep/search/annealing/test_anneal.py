@@ -15,6 +15,7 @@ from cep.search.annealing.anneal import anneal
 from cep.search.annealing.proposals import keeps_runs
 from cep.search.annealing.terms import limits_of
 from cep.search.bounding.bounds import bound
+from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem, open_range_of_duty
 from motdiff.trajectory import Trajectory
@@ -51,9 +52,9 @@ def test_agrees_with_brute_force(objective, where):
     options = {
         "circle": {"chips": 12, "open_range": (4, 9)},
         "straight": {"chips": 11, "open_range": (6, 6), "scenarios": (Scenario(Trajectory.straight(14.0)),)},
-        "limits": {"chips": 12, "min_open": 2, "min_closed": 2, "max_pulses": 3, "open_range": (5, 8)},
-        "long runs": {"chips": 12, "max_open": 2, "open_range": (4, 9)},
-        "fast pulses": {"chips": 12, "max_open": 4, "min_period": 4, "open_range": (3, 8)},
+        "limits": {"chips": 12, "open_range": (5, 8), "runs": RunLimits(min_open=2, min_closed=2, max_pulses=3)},
+        "long runs": {"chips": 12, "open_range": (4, 9), "runs": RunLimits(max_open=2)},
+        "fast pulses": {"chips": 12, "open_range": (3, 8), "runs": RunLimits(max_open=4, min_period=4)},
     }[where]
     problem = SearchProblem(objective=objective, **options)
     found = anneal(problem, rng=np.random.default_rng(0), steps=200_000, time_s=np.inf)
@@ -111,10 +112,10 @@ RUN_LIMITS = st.fixed_dictionaries(
 
 
 @given(st.text("01", min_size=8, max_size=24), RUN_LIMITS)
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 def test_limits_mean_what_the_runs_say(bits, limits):
     bits = "1" + bits
-    problem = SearchProblem(chips=len(bits), **limits)
+    problem = SearchProblem(chips=len(bits), runs=RunLimits(**limits))
     code = ShutterCode(bits)
     inner = ShutterCode(bits.strip("0")).runs
     # of a pulse and the gap after it, but for the last pulse
@@ -136,7 +137,7 @@ def test_limits_mean_what_the_runs_say(bits, limits):
 @settings(max_examples=25, deadline=None)
 def test_results_keep_the_limits(seed, chips, limits):
     try:
-        problem = SearchProblem(chips=chips, **limits, open_range=(3, chips - 2))
+        problem = SearchProblem(chips=chips, runs=RunLimits(**limits), open_range=(3, chips - 2))
     except ValueError:
         return  # no code keeps such limits
     found = anneal(problem, rng=np.random.default_rng(seed), steps=5000)
@@ -244,9 +245,11 @@ def test_all_open_is_all_there_is():
         ({"chips": 0}, "chips: must be a whole number"),
         ({"chips": 10, "open_range": (6, 4)}, "fewest 6 is above most 4"),
         ({"chips": 10, "open_range": (2, 11)}, r"within 1..10 chips"),
-        ({"chips": 10, "min_open": 5, "open_range": (2, 4)}, "min_open: .*conflict.*at most 4.*open_range"),
-        ({"chips": 4, "min_open": 5}, "min_open: .*do not fit a code of 4"),
-        ({"chips": 4, "max_pulses": 0}, "max_pulses"),
+        (
+            {"chips": 10, "open_range": (2, 4), "runs": RunLimits(min_open=5)},
+            "min_open: .*conflict.*at most 4.*open_range",
+        ),
+        ({"chips": 4, "runs": RunLimits(min_open=5)}, "min_open: .*do not fit a code of 4"),
         ({"chips": 4, "objective": "sharp"}, "objective: must be one of min-mtf"),
         ({"chips": 4, "objective": (("noise", -1.0),)}, "weight of noise"),
         ({"chips": 4, "objective": ()}, "at least one objective"),

@@ -10,6 +10,7 @@ from cep.search.annealing.chains import Cooling, Crew, Walks, cool, walk
 from cep.search.annealing.polish import neighbours
 from cep.search.annealing.states import Chain, fresh_otf, smallest_power, total_cost, worst_first
 from cep.search.annealing.terms import BLOCK, lay_out, limits_of, work_space
+from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
@@ -24,7 +25,7 @@ def arc(length_px=12.0):
 
 PROBLEMS = {
     "circle": SearchProblem(chips=12, open_range=(4, 9)),
-    "fixed light": SearchProblem(chips=14, open_range=(7, 7), fixed="1????????????0"),
+    "fixed light": SearchProblem(chips=14, open_range=(7, 7), runs=RunLimits(fixed="1????????????0")),
     "straight": SearchProblem(chips=11, scenarios=(Scenario(Trajectory.straight(14.0)),), open_range=(3, 8)),
     "both ways": SearchProblem.along(arc(), chips=10, open_range=(3, 7), direction="unknown"),
     "mean": SearchProblem(
@@ -33,8 +34,8 @@ PROBLEMS = {
     "ramps": SearchProblem.along(
         arc(), chips=10, open_range=(3, 7), response=ShutterResponse(chip_ns=1000, rise_ns=500, fall_ns=300)
     ),
-    "runs": SearchProblem(chips=14, min_open=2, min_closed=2, max_pulses=4, open_range=(4, 9)),
-    "periods": SearchProblem(chips=14, max_open=4, min_period=4, open_range=(4, 8)),
+    "runs": SearchProblem(chips=14, open_range=(4, 9), runs=RunLimits(min_open=2, min_closed=2, max_pulses=4)),
+    "periods": SearchProblem(chips=14, open_range=(4, 8), runs=RunLimits(max_open=4, min_period=4)),
 }
 
 
@@ -53,7 +54,7 @@ def started(problem, seed=0):
 
 
 def free_chips(problem):
-    return np.flatnonzero([mark == "?" for mark in problem.fixed or "?" * problem.chips])
+    return np.flatnonzero([mark == "?" for mark in problem.runs.fixed or "?" * problem.chips])
 
 
 def plain_cost(objective, code):

@@ -18,6 +18,7 @@ from cep.search.annealing.frames import anneal_frames
 from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables
 from cep.search.annealing.states import Chain, fresh_otf, smallest_power, total_cost, worst_first
 from cep.search.annealing.terms import BLOCK, limits_of
+from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, SearchProblem
 from motdiff.trajectory import Trajectory
@@ -122,9 +123,9 @@ def test_one_frame_is_the_search_of_one_code(objective):
     "limits",
     [
         {"open_range": (6, 6)},
-        {"open_range": (5, 8), "fixed": "1?0??????????0??"},
-        {"open_range": (4, 9), "min_open": 2, "min_closed": 2, "max_pulses": 3},
-        {"open_range": (4, 9), "max_open": 3, "min_period": 4},
+        {"open_range": (5, 8), "runs": RunLimits(fixed="1?0??????????0??")},
+        {"open_range": (4, 9), "runs": RunLimits(min_open=2, min_closed=2, max_pulses=3)},
+        {"open_range": (4, 9), "runs": RunLimits(max_open=3, min_period=4)},
     ],
 )
 def test_every_frame_keeps_the_limits(limits, objective):

@@ -19,6 +19,7 @@ from cep.search.exhaustive.blocks import Tables
 from cep.search.exhaustive.exact import codes_to_count, exact
 from cep.search.exhaustive.exhaust import INNER, Limits, all_patterns, keeps_runs, possible
 from cep.search.exhaustive.proof import ProofLog
+from cep.search.limits import RunLimits
 from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 
@@ -58,11 +59,13 @@ def recheck(proof):
     problem = SearchProblem(
         chips=proof.chips,
         open_range=(limits["fewest_open"], limits["most_open"]),
-        min_open=limits["min_open"],
-        min_closed=limits["min_closed"],
-        max_pulses=limits["max_pulses"],
-        max_open=limits["max_open"],
-        min_period=limits["min_period"],
+        runs=RunLimits(
+            min_open=limits["min_open"],
+            min_closed=limits["min_closed"],
+            max_pulses=limits["max_pulses"],
+            max_open=limits["max_open"],
+            min_period=limits["min_period"],
+        ),
     )
     best = brute_force(problem)
     return proof.complete and proof.lower - 1e-9 <= best <= proof.upper + 1e-9
@@ -85,9 +88,9 @@ def test_free_optimum_is_that_of_brute_force(chips):
     [
         {},
         {"open_range": (11, 11)},
-        {"min_open": 2, "min_closed": 2, "max_pulses": 4},
-        {"max_open": 2},
-        {"max_open": 5, "min_period": 5},
+        {"runs": RunLimits(min_open=2, min_closed=2, max_pulses=4)},
+        {"runs": RunLimits(max_open=2)},
+        {"runs": RunLimits(max_open=5, min_period=5)},
     ],
 )
 def test_bit_tables_lose_no_code(options):
@@ -115,9 +118,16 @@ def test_limits_are_those_of_brute_force(chips, min_open, min_closed, max_pulses
     most = min(chips, max(fewest, min_open) + more)
     try:
         problem = SearchProblem(
-            chips=chips, open_range=(fewest, most), min_open=min_open, min_closed=min_closed, max_pulses=max_pulses,
-            max_open=max_open, min_period=min_period,
-        )  # fmt: skip
+            chips=chips,
+            open_range=(fewest, most),
+            runs=RunLimits(
+                min_open=min_open,
+                min_closed=min_closed,
+                max_pulses=max_pulses,
+                max_open=max_open,
+                min_period=min_period,
+            ),
+        )
     except ValueError:
         return  # no code keeps such limits
     found = exact(problem, threads=1)
@@ -127,7 +137,7 @@ def test_limits_are_those_of_brute_force(chips, min_open, min_closed, max_pulses
 
 def test_a_period_is_not_kept_by_mirror_images():
     """Starts of pulses turn into ends: both codes of a mirror pair must be counted, and only one may be named."""
-    forward = SearchProblem(chips=13, open_range=(5, 5), max_pulses=2, min_period=6)
+    forward = SearchProblem(chips=13, open_range=(5, 5), runs=RunLimits(max_pulses=2, min_period=6))
     assert not forward.mirrors
     found = exact(forward, threads=1)
     assert recheck(found.proof)
@@ -149,9 +159,15 @@ def test_runs_are_kept_by_codes_and_their_parts(bits, min_open, min_closed, max_
     code = np.array([[int(bit) for bit in bits]], dtype=np.int8)
     limits = Limits(1, len(bits), min_open, min_closed, max_pulses, max(max_open, min_open), min_period)
     problem = SearchProblem(
-        chips=len(bits), min_open=min(min_open, len(bits)), min_closed=min_closed, max_pulses=max_pulses,
-        max_open=limits.max_open, min_period=min_period,
-    )  # fmt: skip
+        chips=len(bits),
+        runs=RunLimits(
+            min_open=min(min_open, len(bits)),
+            min_closed=min_closed,
+            max_pulses=max_pulses,
+            max_open=limits.max_open,
+            min_period=min_period,
+        ),
+    )
     kept = bool(problem.satisfied(code)[0])
     assert keeps_runs(np.uint64(int(bits[::-1], 2)), limits) == kept
     for first in range(len(bits)):
@@ -162,7 +178,7 @@ def test_runs_are_kept_by_codes_and_their_parts(bits, min_open, min_closed, max_
 
 @pytest.mark.parametrize("fixed", ["1?????0???????1", "??111?????00???"])
 def test_forced_chips(fixed):
-    problem = SearchProblem(chips=15, fixed=fixed)
+    problem = SearchProblem(chips=15, runs=RunLimits(fixed=fixed))
     found = exact(problem, threads=1)
     assert problem.satisfied(found.code.array[None])[0]
     codes = all_patterns(15)[1:]

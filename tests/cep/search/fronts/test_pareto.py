@@ -15,6 +15,7 @@ from cep.proofs.certify.minimum import min_chip
 from cep.proofs.measure import measure
 from cep.search.fronts.front import Front, FrontPoint, knees, non_dominated
 from cep.search.fronts.pareto import front_points, pareto_front
+from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
@@ -171,12 +172,14 @@ def test_limits_are_kept(min_open, min_closed, max_pulses, max_open, min_period,
     problem = SearchProblem(
         chips=12,
         open_range=(6, 9),
-        max_open=max_open,
-        min_period=min_period,
-        min_open=min_open,
-        min_closed=min_closed,
-        max_pulses=max_pulses,
-        fixed="1" + 11 * "?",
+        runs=RunLimits(
+            max_open=max_open,
+            min_period=min_period,
+            min_open=min_open,
+            min_closed=min_closed,
+            max_pulses=max_pulses,
+            fixed="1" + 11 * "?",
+        ),
     )
     front = pareto_front(problem, rng=np.random.default_rng(seed), steps=0)
     codes = np.array([p.code.array for curve in front.curves.values() for p in curve]).reshape(-1, 12)
@@ -222,7 +225,7 @@ def test_counts_may_be_chosen():
 
 
 def test_a_code_that_leaves_no_choice():
-    front = pareto_front(SearchProblem(chips=5, fixed="11101"), rng=np.random.default_rng(0), steps=100)
+    front = pareto_front(SearchProblem(chips=5, runs=RunLimits(fixed="11101")), rng=np.random.default_rng(0), steps=100)
     assert [point.code.bits for point in front.points] == ["11101"]
 
 
