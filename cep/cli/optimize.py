@@ -62,7 +62,7 @@ from cep.cli.options import (
     load_motion,
     output_option,
 )
-from cep.workflows.search_options import SearchOptions, Task, ending, search_of, task_of, unplayable, warnings_of
+from cep.workflows.search_options import SearchOptions, Task, ending, search_of, task_of, warnings_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -174,6 +174,7 @@ def optimize(
     from cep.io.outputs import claim
     from cep.search.exhaustive.exact import codes_to_count
     from cep.search.limits import RunLimits
+    from cep.search.playable import unplayable
     from cep.search.recipe import mean_length_px
     from cep.workflows.optimize import appraise, report, search
     from hw.device import load_profile
@@ -324,6 +325,7 @@ def optimize_folder(
     from cep.io.outputs import claim_folder, write_text
     from cep.jobs.cells import Cell
     from cep.jobs.fingerprint import source_version
+    from cep.search.playable import unplayable
     from cep.workflows.calibrate_folder import motions_in
     from cep.workflows.optimize import code_from_figures, optimize_motion
 

@@ -1,8 +1,7 @@
-"""Designing a code for an estimated motion: what it can resolve, how it is judged, what a device can play."""
+"""Codes along an estimated motion: what they can resolve, what they are worth, and what they are compared with."""
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,13 +11,10 @@ from numpy.typing import NDArray
 from cep.optics.band import stays_in_place, uniform_length_px
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.optics.response import ShutterResponse
 from cep.proofs.measure import CodeMetrics, measure, worst_of
-from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Baseline
-from hw.device import DeviceProfile
 from motdiff.trajectory import Trajectory
 
 __all__ = [
@@ -31,8 +27,6 @@ __all__ = [
     "compare",
     "expected_psnr_db",
     "judge",
-    "limits_of_device",
-    "response_of_device",
 ]
 
 
@@ -120,116 +114,6 @@ def expected_psnr_db(
         at_level = replace(problem, objective="mse", camera=camera)
         columns.append(-Objective(at_level, oversampling=16, dtype=np.float64).cost_of(chips))
     return np.stack(columns, axis=1)
-
-
-def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tuple[RunLimits, int]:
-    """Translate a device's limits on times into limits on chips, for :class:`cep.search.problem.SearchProblem`.
-
-    A code within them is one that :meth:`hw.device.DeviceProfile.check` passes, and the other way round.
-
-    Parameters
-    ----------
-    profile : DeviceProfile
-    chips, chip_ns : int
-
-    Returns
-    -------
-    RunLimits, int
-        And the most open chips of all runs together.
-
-    Raises
-    ------
-    ValueError
-        If the device cannot play codes of this length or chip time at all; the line says what it can.
-    """
-    _check_chip(profile, chip_ns)
-    if profile.max_chips is not None and chips > profile.max_chips:
-        raise ValueError(f"{profile.name}: plays at most {profile.max_chips} chips, {chips} were asked for")
-    bias_ns = profile.on_bias_ns
-    least_open_ns = max(profile.min_on_ns or 0, profile.tick_ns if bias_ns else 0) + bias_ns
-    least_closed_ns = max(profile.min_off_ns or 0, profile.dead_time_ns)
-    min_open, max_open = max(1, -(-least_open_ns // chip_ns)), None
-    if min_open > chips:
-        raise ValueError(
-            f"chips: {profile.name} opens for at least {least_open_ns / 1e6:g} ms, a code of {chips} chips lasts "
-            f"{chips * chip_ns / 1e6:g} ms; longer chips, or a faster shutter, would do"
-        )
-    if profile.max_on_ns is not None:
-        max_open = profile.max_on_ns // chip_ns
-        if max_open < 1:
-            raise ValueError(
-                f"chip_ns: {profile.name} opens for {profile.max_on_ns} ns at most, "
-                f"a chip must not last longer, got {chip_ns} ns"
-            )
-        if max_open < min_open:
-            raise ValueError(
-                f"chip_ns: {profile.name} opens for {least_open_ns} to {profile.max_on_ns} ns, "
-                f"no whole number of chips of {chip_ns} ns does; shorter chips would"
-            )
-    most_open_chips = chips
-    if profile.max_duty is not None:
-        # the device compares rounded quotients: so do these two, or a code at the very limit would be refused
-        most_open_chips = bisect_right(range(1, chips + 1), profile.max_duty, key=lambda opened: opened / chips)
-        if most_open_chips < min_open:
-            raise ValueError(
-                f"chips: {profile.name} may be open for {profile.max_duty:g} of the time at most, "
-                f"too little for {min_open} of {chips} chips"
-            )
-    min_period = 1
-    if profile.max_rate_hz is not None:
-        # of chips, where every shorter one is too fast: a single opening is left
-        min_period += bisect_left(range(1, chips), -profile.max_rate_hz, key=lambda period: -1e9 / (period * chip_ns))
-    runs = RunLimits(
-        min_open=min_open,
-        min_closed=max(1, -(-least_closed_ns // chip_ns)),
-        max_pulses=profile.max_pulses,
-        max_open=max_open,
-        min_period=min_period,
-    )
-    return runs, most_open_chips
-
-
-def response_of_device(profile: DeviceProfile, chip_ns: int) -> ShutterResponse | None:
-    """Describe how a device's shutter opens and closes around its edges, or None when it does so at once.
-
-    What the device adds to every opening by itself, ``on_bias_ns``, is no part of it: whoever commands the device
-    shortens the openings by as much.
-
-    Parameters
-    ----------
-    profile : DeviceProfile
-    chip_ns : int
-
-    Raises
-    ------
-    ValueError
-        If the chip time is none of the device's, or opening or closing takes longer than a chip.
-    """
-    _check_chip(profile, chip_ns)
-    slowest = max(profile.rise_ns, profile.fall_ns)
-    if slowest > chip_ns:
-        raise ValueError(
-            f"chip_ns: {profile.name} takes {slowest} ns to open or close, "
-            f"chips must last at least as long, got {chip_ns} ns"
-        )
-    response = ShutterResponse(chip_ns=chip_ns, rise_ns=profile.rise_ns, fall_ns=profile.fall_ns)
-    return None if response.instant else response
-
-
-def _check_chip(profile: DeviceProfile, chip_ns: int) -> None:
-    """Refuse a chip time that is no whole number of ticks, or out of range; name the nearest that would do."""
-    tick = profile.tick_ns
-    least = -(-(profile.min_chip_ns or 1) // tick) * tick
-    most = None if profile.max_chip_ns is None else profile.max_chip_ns // tick * tick
-    if chip_ns % tick == 0 and least <= chip_ns <= (most or chip_ns):
-        return
-    below = chip_ns // tick * tick
-    near = sorted({min(max(time_ns, least), most or time_ns + least) for time_ns in (below, below + tick)})
-    words = f"whole ticks of {tick} ns, from {least} ns" + ("" if most is None else f" to {most} ns")
-    raise ValueError(
-        f"chip_ns: {profile.name} plays chips of {words}, got {chip_ns} ns; "
-        f"{' or '.join(str(time_ns) for time_ns in near)} ns would do"
-    )
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ __all__ = [
     "problem_of",
     "search_of",
     "task_of",
-    "unplayable",
     "warnings_of",
 ]
 
@@ -73,8 +72,8 @@ def problem_of(
         If an option is malformed or they conflict; the line says which.
     """
     from cep.optics.band import uniform_length_px
+    from cep.search.playable import limits_of_device, response_of_device
     from cep.search.problem import SearchProblem
-    from cep.workflows.compare import limits_of_device, response_of_device
     from hw.device import DeviceProfile
 
     if wish.direction not in DIRECTIONS:
@@ -276,14 +275,6 @@ def task_of(
     }
     searched = replace(problem, scenarios=()) if straight and problem.objective == "min-mtf" else problem
     return Task(problem, searched, None if straight else _as_designed(motion, wish.direction), described)
-
-
-def unplayable(bits: str, profile: DeviceProfile | None, chip_ns: int) -> str:
-    """Say why the device cannot play a code; empty where it can, or none was named."""
-    from hw.program import Program
-
-    problems = profile.check(Program.from_bits(bits, chip_ns=chip_ns)) if profile else ()
-    return f"no code was found that the device can play: {'; '.join(problems)}" if problems else ""
 
 
 def ending(stopped: str, steps: int) -> str:

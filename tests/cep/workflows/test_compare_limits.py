@@ -12,8 +12,9 @@ from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.proofs.measure import measure
 from cep.search.limits import RunLimits
+from cep.search.playable import limits_of_device, response_of_device
 from cep.search.problem import SearchProblem
-from cep.workflows.compare import check_resolved, expected_psnr_db, judge, limits_of_device, response_of_device
+from cep.workflows.compare import check_resolved, expected_psnr_db, judge
 from hw.device import DeviceProfile, load_profile
 from hw.program import Program
 from motdiff.trajectory import Trajectory
