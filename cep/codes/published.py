@@ -1,4 +1,4 @@
-"""Codes that others published, and the classical sequences, under one registry."""
+"""Registry of published shutter codes and classical sequences."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def _registry() -> Mapping[str, PublishedCode]:
 
 @cache
 def _rotated(name: str) -> PublishedCode:
-    """Return the entry of a name, a periodic sequence by its best rotation: a second's work for all of them."""
+    """Return the entry of a name, a periodic sequence in its best rotation (1 s for all of them)."""
     entry = _registry()[name]
     return replace(entry, code=best_rotation(entry.code)) if entry.source in (_SHIFT_REGISTER, _MURA) else entry
 

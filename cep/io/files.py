@@ -1,4 +1,4 @@
-"""What commands write and read besides images and trajectories: ``code.json``, PSFs, strict JSON."""
+"""Files of codes (``code.json``) and PSFs, and strict JSON."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _MAT_TEXT, _MAT_TEXT_BYTES = b"MATLAB 5.0 MAT-file, written by coded-exposure", 
 
 @dataclass(frozen=True)
 class StoredCode:
-    """What a code file holds.
+    """Content of a code file.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class StoredCode:
     metrics : mapping
         Figures of :func:`cep.proofs.measure.measure`.
     problem : mapping
-        What the code was searched for: trajectory, limits, objective, seed.
+        Search problem: trajectory, limits, objective, seed.
     certificate : mapping
         Proof of the minimum, where there is one.
     """
@@ -121,7 +121,7 @@ def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:
 
 
 def plain(value: object) -> Any:
-    """Turn arrays, dataclasses, paths and NumPy numbers into what JSON knows; NaN and infinities become null.
+    """Turn arrays, dataclasses, paths and NumPy numbers into types of JSON; NaN and infinities become null.
 
     Examples
     --------
@@ -173,7 +173,7 @@ def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple
     paths = tuple(Path(folder) / f"{stem}{suffix}" for suffix in PSF_SUFFIXES)
     grey = np.rint(255 * kernel / max(float(kernel.max()), float(np.finfo(np.float32).tiny))).astype(np.uint8)
     stored = BytesIO()
-    np.save(stored, kernel)  # to a file it would not say why a disk took no more
+    np.save(stored, kernel)  # written to a file, SciPy hides the error of a full disk
     matlab = BytesIO()
     savemat(matlab, {"psf": kernel.astype(np.float64)})
     undated = _MAT_TEXT.ljust(_MAT_TEXT_BYTES) + matlab.getvalue()[_MAT_TEXT_BYTES:]  # SciPy puts the date there
@@ -222,7 +222,7 @@ def _psf_from_npy(source: Path) -> NDArray[Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # headers of old versions of NumPy
-            # mapped: a header that promises more than there is takes no memory
+            # memory-mapped: a header with too large a shape allocates nothing
             return np.lib.format.open_memmap(regular_file(source), mode="r")
     except (ValueError, TypeError, OverflowError, EOFError, SyntaxError, TokenError, RecursionError) as error:
         raise ValueError(f"{source}: not a NumPy array file ({one_line(error)})") from None

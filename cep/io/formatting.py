@@ -1,14 +1,14 @@
-"""How figures are told to people; JSON and files keep them as they are."""
+"""Formatting of numbers in text for people; JSON and files keep full precision."""
 
 from __future__ import annotations
 
 __all__ = ["number"]
 
-_ROUNDING = 1e-12  # of figures around 1, in dB or px: smaller is what sums leave of a zero
+_ROUNDING = 1e-12  # of figures around 1, in dB or px: smaller values are rounding errors of a zero
 
 
 def number(value: float, *, digits: int = 4) -> str:
-    """Write a figure with so many digits, and what rounding left of a zero as 0.
+    """Format a number to some digits; rounding errors of a zero become 0.
 
     Examples
     --------

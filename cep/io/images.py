@@ -60,7 +60,7 @@ class Photo:
     bits : int
         Bits per sample of the file: 8, 16, or 32 for floating point.
     warnings : tuple of str
-        What was lost or assumed on the way, one sentence each.
+        Losses and assumptions of the decoding, one sentence each.
     """
 
     pixels: FloatArray
@@ -246,7 +246,7 @@ def _exponent(gamma: str | float) -> float | None:
 
 
 def _read_picture(source: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
-    """Decode to samples (H, W) or (H, W, 3), red green blue, as the file has them; and say what was lost."""
+    """Decode to samples (H, W) or (H, W, 3), red green blue, at the file's depth, with warnings of losses."""
     decoded, damage = decode(photo_bytes(source), source)
     warnings = tuple(f"{source}: the image is damaged in places ({line})" for line in damage)
     if decoded.ndim == 3 and decoded.shape[2] == 4:
@@ -279,7 +279,7 @@ def _read_mat(source: Path, variable: str) -> NDArray[Any]:
 
 
 def _read_raw(source: Path) -> NDArray[np.uint16]:
-    regular_file(source)  # a missing file is told before a missing package
+    regular_file(source)  # a missing file is reported before a missing package
     try:
         import rawpy
     except ImportError:

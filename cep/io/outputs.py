@@ -1,4 +1,4 @@
-"""One policy for output paths: refuse what exists, write under temporary names, rename when all is written."""
+"""Output paths of commands: existing files are refused; new files appear together, whole or not at all."""
 
 from __future__ import annotations
 
@@ -76,9 +76,9 @@ def claim_folder(path: Path | str, names: Iterable[str], *, force: bool = False)
 
 @contextmanager
 def new_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -> Iterator[Path]:
-    """Yield a temporary folder; on leaving well what it holds appears in ``path``, otherwise nothing does.
+    """Yield a temporary folder; on success its files appear in ``path``, otherwise none does.
 
-    Files of those names that are there from before, but were not written this time, go.
+    Earlier files of those names that were not written this time are removed.
 
     Parameters
     ----------

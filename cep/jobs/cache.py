@@ -23,7 +23,7 @@ _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 class Cache:
-    """A folder of finished cells; what cannot be trusted counts as missing and is told of.
+    """A folder of finished cells; a damaged file counts as missing and adds a warning.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Cache:
 
     @property
     def warnings(self) -> list[str]:
-        """One line per reason for which files were not used."""
+        """Reasons why files were not used, one line each."""
         return [
             f"{self._folder}: {count} finished {'cell' if count == 1 else 'cells'} {reason}: made again"
             for reason, count in self._distrusted.items()
@@ -106,12 +106,12 @@ class Cache:
 
 
 def _check(document: dict[str, Any]) -> str:
-    """Sum up a document, so that a changed digit is seen."""
+    """Checksum of a document."""
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 
 
 def _stored(figure: Figure) -> Any:
-    """Spell what JSON has no number for: a code with a zero has an infinite noise gain, which null would hide."""
+    """Encode infinities and NaN, for which JSON has no number: a code with a zero has an infinite noise gain."""
     return {"not finite": str(figure)} if isinstance(figure, float) and not math.isfinite(figure) else figure
 
 

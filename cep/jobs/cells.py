@@ -1,4 +1,4 @@
-"""One cell of a benchmark: a pure function, its arguments, and a fingerprint of both."""
+"""Cells of a long computation: a pure function, its arguments, and a fingerprint of both."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ Figure = float | int | str | None
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """One independent piece of a benchmark.
+    """One independent piece of a long computation.
 
     Attributes
     ----------
     name : tuple of str
-        Labels such as method, photo, motion: the tables group by them. They are no part of the fingerprint.
+        Labels such as method, photo, motion, by which tables group. They are no part of the fingerprint.
     work : function
-        A pure function at the top of an importable module; returns a flat mapping of figures. It runs beside others:
-        what it calls should use one thread.
+        A pure function at the top of an importable module; returns a flat mapping of figures. Cells run side by side,
+        so it should use one thread.
     arguments : mapping from str
-        What ``work`` is called with: None, bool, int, float, str, bytes, arrays, enums, and lists, tuples, mappings
-        and dataclasses of them; a Path is a file, given as an argument of its own, and counts by what is in it.
+        Arguments of ``work``: None, bool, int, float, str, bytes, arrays, enums, and lists, tuples, mappings
+        and dataclasses of them; a Path is a file, given as an argument of its own, and counts by its content.
     version : str
         Of the method. Another one makes the cell run again.
 
@@ -77,7 +77,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Finished:
-    """What came of a cell's work.
+    """Figures of a cell, or the reason of its failure.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Finished:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A cell and what came of it.
+    """A cell and its figures.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class Result:
 
 @dataclass(frozen=True)
 class _Pinned:
-    """A file and what was in it when the benchmark began."""
+    """A file and the hash of its content when the run began."""
 
     path: Path
     digest: str
@@ -129,7 +129,7 @@ class _Pinned:
 
 
 def pinned(cells: Iterable[Cell]) -> list[dict[str, Any]]:
-    """Arguments of cells whose files tell what is in them: elsewhere, or later, there may be another of that name.
+    """Arguments of cells with the hash of each file's content: later, or on another machine, the file may differ.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def pinned(cells: Iterable[Cell]) -> list[dict[str, Any]]:
 
 
 def worked(work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, Any]) -> Finished:
-    """Run a cell's function here; what it raises becomes the reason of a failure.
+    """Run a cell's function in this process; an exception becomes the reason of a failure.
 
     Parameters
     ----------
@@ -186,12 +186,12 @@ def _flat(returned: object) -> dict[str, Figure]:
 
 
 def fingerprints(cells: Iterable[Cell]) -> list[str]:
-    """Return what tells each cell's function, version and arguments from any others: 64 hexadecimal digits.
+    """Return fingerprints of each cell's function, version and arguments: 64 hexadecimal digits.
 
     Raises
     ------
     ValueError
-        If an argument cannot be told by its content; the line names the cell and the argument.
+        If the content of an argument cannot be hashed; the line names the cell and the argument.
     OSError
         If a file among the arguments cannot be read.
     """
@@ -233,7 +233,7 @@ def _fingerprint(cell: Cell, known: dict[Path, str]) -> str:
 
 
 def _encoded(value: object, where: str) -> bytes:
-    """Encode so that different values, or the same of different types, never give the same bytes."""
+    """Encode injectively: different values or types never give the same bytes."""
     if isinstance(value, np.generic):
         return _encoded(np.asarray(value), where)
     if value is None or (isinstance(value, bool | int) and not isinstance(value, Enum)):
@@ -246,7 +246,7 @@ def _encoded(value: object, where: str) -> bytes:
         return _tagged("str", value.encode())
     if isinstance(value, bytes):
         return _tagged("bytes", value)
-    # a masked array or an array of objects is more than its bytes
+    # the bytes of a masked array or an array of objects are not all its content
     if type(value) in (np.ndarray, np.memmap) and value.dtype.kind in "biufcSU":  # type: ignore[attr-defined]
         array = np.asarray(value)
         return _tagged("array", array.dtype.str.encode(), str(array.shape).encode(), array.tobytes())
@@ -261,7 +261,7 @@ def _encoded(value: object, where: str) -> bytes:
         return _tagged("dataclass", _class_name(value).encode(), _encoded(inside, where))
     hint = "give a file as an argument of its own" if isinstance(value, Path) else "give plain data or arrays"
     place = re.sub(r"^\.(\w+)\[1\]", r"\1", where)
-    raise ValueError(f"argument {place}: a {type(value).__name__} cannot be told by its content, {hint}")
+    raise ValueError(f"argument {place}: a {type(value).__name__} has no content to hash, {hint}")
 
 
 def _tagged(kind: str, *parts: bytes) -> bytes:

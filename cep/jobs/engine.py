@@ -1,4 +1,4 @@
-"""Runs the cells of a benchmark, here, in processes or on a Dask cluster; each is on disk as soon as it is finished."""
+"""Run of cells in this process, in worker processes or on a Dask cluster; finished cells are cached at once."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Outcome", "run_cells"]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a benchmark.
+    """Results of a run.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Outcome:
 
     @property
     def figures(self) -> dict[tuple[str, ...], Mapping[str, Figure]]:
-        """Figures by name of the cell; those of failed cells are empty."""
+        """Figures by name of the cell, empty for failed cells."""
         return {result.cell.name: result.finished.figures for result in self.results}
 
     @property
@@ -45,7 +45,7 @@ class Outcome:
 
     @property
     def machines(self) -> list[Mapping[str, Any]]:
-        """Every machine that made one of the results, the busiest first: cached ones may come from elsewhere."""
+        """Machines that computed the results, the busiest first; cached results may come from other machines."""
         counts: list[tuple[int, Mapping[str, Any]]] = []
         for result in self.results:
             known = next((i for i, (_, one) in enumerate(counts) if one == result.finished.machine), None)
@@ -65,7 +65,7 @@ def run_cells(
     progress: Callable[[float, str], None] = lambda _fraction, _note: None,
     finished: Callable[[Result], None] = lambda _result: None,
 ) -> Outcome:
-    """Run every cell that is not on disk already; one that raises is told of and the others go on.
+    """Run every cell that is not cached; one that raises counts as failed, and the others continue.
 
     Parameters
     ----------
@@ -86,16 +86,16 @@ def run_cells(
     Returns
     -------
     Outcome
-        After Ctrl-C with what was finished before.
+        After Ctrl-C with the cells finished until then.
 
     Raises
     ------
     ValueError
-        If a name comes twice, an argument cannot be told by its content, or no cluster answers.
+        If a name comes twice, the content of an argument cannot be hashed, or no cluster answers.
     OSError
         If a file cannot be read or the cache cannot be written, as on a full disk; finished cells are kept.
     RuntimeError
-        If the cluster goes away; finished cells are kept.
+        If the cluster disconnects; finished cells are kept.
     """
     if workers < 1:
         raise ValueError(f"workers: must be at least 1, got {workers}")
@@ -156,7 +156,7 @@ def _run(
 
 @contextmanager
 def _no_empty_folder(folder: Path) -> Iterator[None]:
-    """Remove what was not there before and is still empty, when something is raised."""
+    """On an exception, remove a folder that was made here and is still empty."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         yield

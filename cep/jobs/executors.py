@@ -1,4 +1,4 @@
-"""Cells spread by joblib over processes of this machine or over a Dask cluster, in the order in which they finish."""
+"""Executors of cells: processes of this machine or a Dask cluster, by joblib, in order of completion."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _INSTALL = "install there what is installed here, and start it again"
 
 
 def in_processes(tasks: Tasks, workers: int) -> Generator[tuple[str, Finished]]:
-    """Yield fingerprints with what came of them, from ``workers`` processes of one inner thread each.
+    """Yield fingerprints with finished cells, from ``workers`` processes of one inner thread each.
 
     A cell that kills its process fails; the cells that ran beside it are run again.
     """
 
     def run(some: Tasks) -> Generator[tuple[str, Finished]]:
         with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1), warnings.catch_warnings():
-            # loky starts processes anew whose memory has grown, as PyTorch's does, and says so to whoever watches
+            # loky restarts processes whose memory has grown, as PyTorch's does, and warns of it
             warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
             yield from _spread(some, _undisturbed, pre_dispatch=2 * workers)
 
@@ -63,12 +63,12 @@ def in_processes(tasks: Tasks, workers: int) -> Generator[tuple[str, Finished]]:
 
 
 def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
-    """Yield fingerprints with what came of them, from the Dask cluster whose scheduler is at ``address``.
+    """Yield fingerprints with finished cells, from the Dask cluster whose scheduler is at ``address``.
 
     Dask runs the cells of a lost worker again on another one; what a worker sent counts once. Workers must have the
     sources and weights that are here, and so must those that join later: figures are kept under the versions of these.
-    One that joins later without this program, or with one too old to be asked, is not told of, and the run waits for
-    it. Other versions of NumPy and the like may do, and are told by each result's machine.
+    A worker that joins later without this program, or with a version too old to report its sources, is not detected,
+    and the run waits for it. Other versions of libraries are allowed and recorded in each result's machine.
 
     Raises
     ------
@@ -82,12 +82,12 @@ def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
         from distributed import Client
     except ImportError:
         raise ValueError("dask: a cluster needs the extra: pip install 'coded-exposure[cluster]'") from None
-    with _unlogged("distributed.client"):  # what goes wrong is told in one line, not in tracebacks of its own thread
+    with _unlogged("distributed.client"):  # an error is one line, not a traceback of Dask's thread
         try:
             with ThreadPoolExecutor(1) as other:  # a notebook's thread has an event loop already
                 other.submit(asyncio.run, _greeting(address)).result()
             client = Client(address, timeout=_CONNECT_S, set_as_default=False)
-        except Exception as error:  # whatever answers there may be no scheduler: MemoryError at HTTP, among others
+        except Exception as error:  # the server may be no scheduler: HTTP raises MemoryError, for example
             reason = " ".join(str(error).split()) or f"waited {_CONNECT_S:g} s"
             raise ValueError(f"dask: no scheduler answers at {address}, as tcp://host:8786 would ({reason})") from None
         with client:
@@ -95,7 +95,7 @@ def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
                 client.wait_for_workers(1, timeout=_WORKERS_S)
             except TimeoutError:
                 raise ValueError(f"dask: the scheduler at {address} has no workers: dask worker {address}") from None
-            try:  # joblib would wait for ever for cells that no worker can read
+            try:  # otherwise joblib waits for ever for cells that no worker can import
                 for module in sorted({__name__, *(work.__module__ for work, _ in tasks.values())}):
                     client.run(import_module, module)
             except ImportError as error:
@@ -106,7 +106,7 @@ def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
             try:
                 with parallel_config(_ClusterBackend(client=client)):
                     yield from _spread(tasks, partial(_of_these_sources, all_sources()), pre_dispatch="all")
-            except Exception as error:  # cells give reasons instead of raising: this is the cluster's own
+            except Exception as error:  # an error of the cluster: cells return reasons instead of raising
                 reason = " ".join(f"{type(error).__name__}: {error}".split())
                 raise RuntimeError(
                     f"dask: the cluster at {address} failed ({reason}); finished cells are kept, run again to go on"
@@ -114,14 +114,14 @@ def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
 
 
 class _ClusterBackend(DaskDistributedBackend):  # type: ignore[misc]
-    """Joblib's own, without its shortcut: while one thread has come to the cluster, it would run the cells here."""
+    """Joblib's backend without its shortcut, which runs cells in this process while one thread is connected."""
 
     def effective_n_jobs(self, n_jobs: int = -1) -> int:
         return max(2, int(super().effective_n_jobs(n_jobs)))
 
 
 async def _greeting(address: str) -> None:
-    """Greet a scheduler and leave: Client would wait for ever where somebody listens but never answers."""
+    """Connect to a scheduler once: Client would wait for ever for a server that never answers."""
     from distributed import Security
     from distributed.comm import connect
 
@@ -132,9 +132,9 @@ async def _greeting(address: str) -> None:
 
 def _refuse_other_sources(client: Any) -> None:
     states = client.run(all_sources, on_error="return")
-    # OSError: a worker that was lost meanwhile says nothing of its sources; an older state lacks the function
-    told = {worker: state for worker, state in states.items() if not isinstance(state, OSError)}
-    if others := sorted(worker for worker, state in told.items() if state != all_sources()):
+    # OSError: the worker was lost meanwhile; an older version lacks the function
+    reported = {worker: state for worker, state in states.items() if not isinstance(state, OSError)}
+    if others := sorted(worker for worker, state in reported.items() if state != all_sources()):
         raise ValueError(
             f"dask: the worker at {others[0]} has another state of this program ({len(others)} of {len(states)} "
             f"workers): {_INSTALL}"
@@ -178,7 +178,7 @@ def _undisturbed(
 
 @contextmanager
 def _dropped(stream: Generator[Any]) -> Iterator[Generator[Any]]:
-    """Close a stream; joblib's warning that cells were dropped tells whoever stops nothing new."""
+    """Close a stream without joblib's warning of dropped cells on cancellation."""
     try:
         yield stream
     finally:

@@ -1,4 +1,4 @@
-"""Versions of code: fingerprints of a module and all of ours that it uses, and of all there is of ours."""
+"""Fingerprints of source code: of a module with the project's modules that it imports, and of the whole project."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _COUNTING = (".py", ".safetensors", ".toml")
 
 
 def source_version(modules: Iterable[str], *, alone: Iterable[str] = (), files: Iterable[Path] = ()) -> str:
-    """Sum up what modules do: 16 hexadecimal digits that comments, docstrings and layout do not change.
+    """Fingerprint of modules: 16 hexadecimal digits, independent of comments, docstrings and layout.
 
     Parameters
     ----------
     modules : iterable of names
-        With every module of ours that they import, and these in turn.
+        Modules, with every module of the project that they import, recursively.
     alone : iterable of names
         Modules whose imports do not count.
     files : iterable of Path
@@ -51,9 +51,9 @@ def source_version(modules: Iterable[str], *, alone: Iterable[str] = (), files: 
 
 @cache
 def all_sources() -> str:
-    """Sum up all code, weights and settings of ours to the letter: 64 hexadecimal digits.
+    """Fingerprint of the project's code, weights and settings: 64 hexadecimal digits.
 
-    Read once: a process that has run for long goes by what it has loaded, not by what was installed since.
+    Read once: it describes the loaded modules, not a later installation.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def all_sources() -> str:
 
 @cache
 def _file(name: str) -> Path | None:
-    """Return the file of a module, None where the name stands for something within one."""
+    """Return the file of a module, None where the name is an attribute of a module."""
     try:
         spec = find_spec(name)
     except ModuleNotFoundError:
@@ -91,7 +91,7 @@ def _tree(name: str) -> ast.Module:
 
 @cache
 def _imports(name: str) -> frozenset[str]:
-    """Name the modules of ours that a module imports, those imported within its functions too."""
+    """Names of the project's modules that a module imports, also within functions."""
     return frozenset(
         found for found in _imported(_tree(name)) if found.split(".")[0] in _OURS and _file(found) is not None
     )

@@ -1,4 +1,4 @@
-"""What a figure was made with: hardware, system and versions."""
+"""Description of the machine that computed a figure: hardware, system and versions."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _MAKERS = (
 
 @cache
 def machine() -> dict[str, Any]:
-    """Describe the machine of this process: nothing in it names the machine or its user.
+    """Describe the machine of this process, without its name or its user's.
 
     Returns
     -------
     dict
         ``processor``, ``cores`` (that this process may use), ``memory_gib`` (None where unknown), ``system``,
-        ``python``, ``versions`` of the packages that make figures (None where one is not installed as a package).
+        ``python``, ``versions`` of the packages that figures depend on (None where one is not installed as a package).
     """
     return {
         "processor": _processor(),

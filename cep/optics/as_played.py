@@ -1,4 +1,4 @@
-"""The blur that a recorded shutter really made: the chips it played, by the clock it played them."""
+"""Code and PSF as a recorded shutter played them: actual chips on the measured clock."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ FloatArray = NDArray[np.float64]
 
 
 def achieved_code(played: Verification, *, chip_ns: int) -> ShutterCode:
-    """Return the code that was played, with chips as long as they really were, to the nanosecond.
+    """Return the played code with its measured chip time, to the nanosecond.
 
     Parameters
     ----------
     played : Verification
     chip_ns : int
-        Chip time asked for, ns.
+        Commanded chip time, ns.
 
     Raises
     ------
@@ -35,18 +35,18 @@ def achieved_code(played: Verification, *, chip_ns: int) -> ShutterCode:
 
 
 def achieved_psf(trajectory: Trajectory, played: Verification, *, chip_ns: int, size: int = PSF_PX) -> FloatArray:
-    """Blur of the code that was played, (size, size), light-true: it sums to the open part of the exposure asked for.
+    """PSF of the played code, (size, size), light-true: it sums to the open part of the commanded exposure.
 
-    The motion goes on by its own time: a shutter with a slow clock plays the same chips over more of it. Openings that
-    were longer than the clock says count as closing late.
+    A shutter with a slow clock plays the same chips over a longer stretch of the motion. Openings that were longer
+    than the fitted clock says count as closing late.
 
     Parameters
     ----------
     trajectory : Trajectory
-        Motion over the exposure that was asked for.
+        Motion over the commanded exposure.
     played : Verification
     chip_ns : int
-        Chip time asked for, ns.
+        Commanded chip time, ns.
     size : int
 
     Raises

@@ -1,4 +1,4 @@
-"""Frequencies at which a code is judged: quadrature over the band [-0.5, 0.5]^2, along one axis for straight motion."""
+"""Quadrature of |H| over the frequency band [-0.5, 0.5]^2, along one axis for straight motion."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def circle_samples(chips: int, *, oversampling: int = 64) -> BandSamples:
 
 
 def in_band(along: float, axis: FloatArray) -> tuple[float, float]:
-    """Find a frequency of the band whose component along a straight motion is ``along``: only that one counts."""
+    """Find a frequency of the band whose component along a straight motion is ``along``."""
     x, y = along * axis
     if max(abs(x), abs(y)) > 0.5:
         x, y = np.sign(axis) * along / np.abs(axis).sum()
@@ -93,7 +93,7 @@ def in_band(along: float, axis: FloatArray) -> tuple[float, float]:
 
 
 def stays_in_place(trajectory: Trajectory) -> bool:
-    """Tell whether a path is a point for every purpose: no code can show along it."""
+    """Whether a path is practically a point, along which a code has no effect."""
     return trajectory.extent_px <= _STILL_PX
 
 

@@ -1,4 +1,4 @@
-"""A camera's sensor: photon noise, read noise, clipping, quantisation; its files."""
+"""Camera model: photon noise, read noise, clipping, quantisation; and its files."""
 
 from __future__ import annotations
 

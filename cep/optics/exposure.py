@@ -1,8 +1,8 @@
 """A code along a trajectory: the chip basis, and the coded OTF and PSF (light-true: their DC is the open time).
 
-Chips need not be played on time (``edges``), nor does the shutter follow at once (``response``). With c_k = 0 outside
-the code, the OTF is ``sum_k c_k B_k + c_k (1 - c_{k-1}) O_k + c_k (1 - c_{k+1}) C_k``: chip k itself, what is lost
-while the shutter opens (O_k, within chip k), and what it lets through while it closes (C_k, within chip k + 1).
+Chips may be played off their time (``edges``), and the shutter may have ramps (``response``). With c_k = 0 outside
+the code, the OTF is ``sum_k c_k B_k + c_k (1 - c_{k-1}) O_k + c_k (1 - c_{k+1}) C_k``: chip k itself, light lost
+while the shutter opens (O_k, within chip k), and light passed while it closes (C_k, within chip k + 1).
 """
 
 from __future__ import annotations
@@ -207,7 +207,7 @@ def coded_otf(
     ----------
     trajectory : Trajectory
     code : ShutterCode
-        Its chips are spread evenly over the exposure, whatever ``chip_ns`` says.
+        Its chips are spread evenly over the exposure; ``chip_ns`` does not count.
     fx_cy_px, fy_cy_px : (...) array_like, cycles/px
     response, edges : optional
         As in :func:`open_path`.
@@ -251,7 +251,7 @@ def coded_psf(
     Raises
     ------
     ValueError
-        If the path leaves the frame; the message says which size would do.
+        If the path leaves the frame; the message has a sufficient size.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""How a shutter really opens and closes: linear ramps, delay and bias that follow each transition of the code."""
+"""Response of a shutter to its commands: linear ramps, delay and bias after each transition of the code."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class ShutterResponse:
     Parameters
     ----------
     chip_ns : float
-        Chip time that the code is played with: the times below count relative to it, whatever a code's own says.
+        Chip time that the code is played with; it replaces the code's own.
     rise_ns, fall_ns : float
         Full ramps, from 0 to 1 and from 1 to 0.
     on_delay_ns, on_bias_ns : float
-        What every open run loses at its start, and gains at its end.
+        Time that every open run loses at its start, and gains at its end.
 
     Raises
     ------

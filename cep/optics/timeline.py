@@ -1,4 +1,4 @@
-"""When a code is really played: chip edges off their time, and the motion beyond the known exposure."""
+"""Timing of a played code: shifted chip edges, and the motion extrapolated beyond the exposure."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def checked_edges(edges: ArrayLike | None, chips: int) -> FloatArray:
 
 
 def check_lengths(edges: FloatArray, response: ShutterResponse) -> None:
-    """Refuse edges (n + 1,) that leave a chip no time to open or close: a ValueError says how much there is."""
+    """Refuse edges (n + 1,) that leave a chip no time to open or close, with a ValueError."""
     slowest = max(response.opening_ns, response.closing_ns)
     shortest_ns = float(np.diff(edges).min()) * (len(edges) - 1) * response.chip_ns
     if slowest > shortest_ns * (1 + 1e-9):

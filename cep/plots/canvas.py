@@ -1,4 +1,4 @@
-"""The canvas under every figure: colours, figures without global state, photos on axes, files."""
+"""Common parts of figures: colours, figures without global state, photos on axes, files."""
 
 from __future__ import annotations
 
@@ -85,10 +85,10 @@ def save(figure: Figure, path: Path | str) -> None:
 
 
 def undated(figure: Figure, kind: str, *, dpi: int = _DPI) -> bytes:
-    """Render a figure as "png", "pdf" or "svg", without what would make the same figure another file each time.
+    """Render a figure as "png", "pdf" or "svg" reproducibly: the same figure gives the same bytes.
 
-    That is the date, and in SVG the names of its parts. In memory, because on a full disk matplotlib's PDF writer hides
-    the error behind one of its own.
+    The date is left out, and in SVG element names are fixed. It is rendered in memory, because on a full disk
+    matplotlib's PDF writer hides the error behind another one.
     """
     from matplotlib import rc_context
 

@@ -105,7 +105,7 @@ def mtf_figure(trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], 
         title="MTF along the main axis: a dip is detail that no restoration brings back",
     )  # fmt: skip
     curves.grid(color="0.9", which="both", linewidth=0.6)
-    curves.legend(loc="upper right", ncols=min(3, len(codes)), framealpha=0.9)  # dips reach for the lower edge
+    curves.legend(loc="upper right", ncols=min(3, len(codes)), framealpha=0.9)  # the lower limit cuts deep dips
 
     maps = []
     for index, (name, code) in enumerate(codes.items()):

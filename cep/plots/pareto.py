@@ -1,4 +1,4 @@
-"""Figure of a front: what minimum, noise and light can be had together, beside the published codes."""
+"""Figure of a Pareto front in minimum, noise and light, with the published codes."""
 
 from __future__ import annotations
 

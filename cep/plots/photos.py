@@ -28,7 +28,7 @@ def before_after(images: Mapping[str, ArrayLike], *, zoom_px: int = 128, detail_
     zoom_px : int
         Side of the detail.
     detail_of : array_like, optional
-        Image that chooses the detail, where it has most structure; the last one when omitted.
+        Image whose most structured window is the detail; the last one when omitted.
     """
     pictures = {title: np.clip(np.asarray(image, dtype=np.float64), 0, 1) for title, image in images.items()}
     height, width = (min(image.shape[axis] for image in pictures.values()) for axis in (0, 1))

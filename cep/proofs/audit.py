@@ -1,4 +1,4 @@
-"""A second look at a code: where its zeros are, which grids hide them, and which codes a few flips away are better."""
+"""Audit of a code: its zeros, frequency grids that miss them, and better codes within a few flips."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Neighbour:
 
 @dataclass(frozen=True)
 class GridClaim:
-    """What a frequency grid says of a code's minimum.
+    """Minimum of a code on a frequency grid, compared with the true one.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class GridClaim:
 
 
 def null_threshold(code: ShutterCode, trajectory: Trajectory | None) -> float:
-    """Minimum below which a code has, for every practical purpose, a zero: a ten-thousandth of its DC."""
+    """Minimum below which a code practically has a zero: a ten-thousandth of its DC."""
     return 1e-4 * (code.open_chips if trajectory is None else code.duty)
 
 
@@ -87,7 +87,7 @@ def zeros_by_direction(code: ShutterCode, trajectory: Trajectory | None) -> dict
 
 
 def grid_claims(code: ShutterCode, trajectory: Trajectory | None, truth: float) -> tuple[GridClaim, ...]:
-    """Compare what common grids say with the true minimum.
+    """Compare the minima on common grids with the true minimum.
 
     Parameters
     ----------
@@ -119,8 +119,8 @@ def better_neighbours(
 ) -> tuple[Neighbour, ...]:
     """Find, for each number of flips up to ``flips``, the best codes that beat this one's minimum.
 
-    Every combination is looked at on a grid of frequencies, up to the first at which it is no better than this code;
-    the minima of the best ones are then found over the continuum.
+    Every combination is evaluated on a grid of frequencies, up to the first at which it is no better than this code.
+    The minima of the best ones are then found over the continuum.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def _scan(
                     two_re[f] += re[j, f]
                     two_im[f] += im[j, f]
             for k in range(j + 1 if count > 1 else 0, chips):
-                # the frequency that refused the last one often refuses this one too
+                # the frequency that rejected the last one often rejects this one too
                 a, b = two_re[killer] + re[k, killer], two_im[killer] + im[k, killer]
                 lowest = a * a + b * b
                 f = 0

@@ -91,7 +91,7 @@ def measure(
     camera : Camera, optional
         For ``mse_db``; ``Camera()`` when omitted.
     budget : int
-        Frequencies that the lower bound of the minimum may look at.
+        Largest number of frequencies evaluated for the lower bound of the minimum.
     response : ShutterResponse, optional
         How the shutter opens and closes; at once when omitted.
     edges : (n + 1,) array_like, optional

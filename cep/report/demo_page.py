@@ -1,4 +1,4 @@
-"""The demo's report: what was found, what it gains, and where it does not."""
+"""HTML report of the demo: motion, code, expected gains and losses, restored photos."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def demo_report(chain: Chain) -> Report:
 
 
 def verdict(expected: tuple[tuple[str, tuple[float, ...]], ...]) -> str:
-    """Say from the expected figures where coding gains over the open shutter and where it loses.
+    """Verdict in words, from the expected figures: where coding gains over the open shutter and where it loses.
 
     Parameters
     ----------

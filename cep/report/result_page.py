@@ -1,4 +1,4 @@
-"""The HTML report: one self-contained file, pictures inside, no script and no request to anywhere."""
+"""HTML report as one self-contained file: pictures embedded, no script, no network requests."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Picture:
     ----------
     png : bytes
     caption : str
-        What it shows, and how to read it.
+        Content, and how to read it.
     alt : str
-        What it shows, for readers who cannot see it.
+        Content, for readers who cannot see it.
     name : str
-        Of a file of its own, without suffix; none when empty.
+        Name of a separate file, without suffix; none when empty.
     """
 
     png: bytes
@@ -40,7 +40,7 @@ class Picture:
 
     @property
     def data_uri(self) -> str:
-        """The picture as an address that holds all of it."""
+        """The picture as a data URI."""
         return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
 
 
@@ -73,7 +73,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a report: text, then tables, then pictures, then what the reader is warned of."""
+    """A section of a report: text, tables, pictures, warnings."""
 
     title: str
     paragraphs: tuple[str, ...] = ()

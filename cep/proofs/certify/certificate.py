@@ -1,4 +1,4 @@
-"""A code's smallest |H| as data that anybody can check again, as :mod:`verify` does with other arithmetic."""
+"""Certificates of a code's smallest |H|: data that :mod:`cep.proofs.verify` checks with independent arithmetic."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BUDGET = 400_000
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is proven of a code's minimum, and about which code and motion.
+    """Proven bounds of a code's minimum, with the code and the motion.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class Certificate:
     directions : tuple of str
         Ways along the path that the bounds cover, "forward" and "backward".
     direction : str
-        The way of them on which ``upper`` is reached.
+        The one of them on which ``upper`` is reached.
     trajectory : mapping or None
         Lists ``t``, ``x``, ``y`` of the path's vertices; None in chip units.
     zero : Zero or None
-        What proves a zero.
+        Proof of a zero.
     """
 
     unit: str
@@ -115,7 +115,7 @@ def certify(code: ShutterCode, trajectory: Trajectory | None = None, *, budget: 
     trajectory : Trajectory, optional
         An unknown direction counts as the worse of the two; a uniform straight motion has the same |H| on both ways.
     budget : int
-        Cells that the subdivision along a path may look at; running out leaves a wider, still valid, interval.
+        Largest number of cells of the subdivision along a path; running out leaves a wider, still valid, interval.
 
     Examples
     --------

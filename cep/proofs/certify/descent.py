@@ -1,4 +1,4 @@
-"""Walking down |H| from a start to its local minimum or zero inside a box: Newton's method, compiled."""
+"""Newton descent of |H| to a local minimum or zero inside a box, compiled."""
 
 from __future__ import annotations
 

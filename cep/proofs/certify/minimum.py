@@ -1,4 +1,4 @@
-"""Smallest |H| over a continuum of frequencies: the value reached, and a lower bound that no grid can fake."""
+"""Smallest |H| over a continuum of frequencies: an attained value and a rigorous lower bound."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Minimum:
     at : tuple of float
         Frequency, cycles per chip or cycles/px.
     method : str
-        How ``lower`` was found, or what proves the zero.
+        How ``lower`` was found, or the proof of the zero.
     zero : Zero, optional
         The zero's proof.
     """
@@ -114,8 +114,8 @@ def mtf_minimum(
     trajectory : Trajectory
     code : ShutterCode
     budget : int
-        Cells that the subdivision may look at before it stops with a wider interval than a thousandth; 0 for a quick
-        upper bound.
+        Largest number of cells of the subdivision, which may then end with a wider interval than a thousandth; 0 for
+        a quick upper bound.
     response, edges
         How and when the shutter plays the chips, as in :func:`cep.optics.exposure.open_path`.
     """

@@ -1,4 +1,4 @@
-"""Exact arithmetic on a code's 0/1 polynomial: at which points of the unit circle it truly vanishes.
+"""Exact zeros of a code's 0/1 polynomial on the unit circle, in integer arithmetic.
 
 A zero on the circle is shared with the reversed polynomial, so it divides the greatest common divisor of the two: a
 product of cyclotomic polynomials (roots of unity), times a self-reciprocal rest. On the circle the rest is a real

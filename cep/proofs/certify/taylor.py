@@ -1,6 +1,6 @@
-"""H and its derivatives at many frequencies, and how low |H| can fall on a cell around each: the proof's inner loop.
+"""Taylor bounds: H and its derivatives at many frequencies, and a lower bound of |H| on a cell around each.
 
-With the path measured from the centroid of what the shutter saw, Taylor's theorem gives on the cell ``|d_i| <= h_i``::
+With the path measured from the centroid of its open part, Taylor's theorem gives on the cell ``|d_i| <= h_i``::
 
     |H(f + d)|  >=  Re(conj(u) (H + g . d)) - (2 pi)^2 / 2 d' M d - slack,   |u| = 1,
 
@@ -38,7 +38,7 @@ _EPS = 2.0**-53
 
 @dataclass(frozen=True)
 class Pieces:
-    """Straight pieces seen by the shutter, short enough for a series, measured from their centroid.
+    """Straight pieces of the open path, short enough for a series, measured from their centroid.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ def jets(pieces: Pieces, points: FloatArray) -> FloatArray:
 
 
 def extended(pieces: Pieces) -> Pieces:
-    """Ask for longer sums of a code's chips; where the machine has none, the bounds stay as wide as they are."""
+    """Use extended precision for the sums; where the machine has none, the bounds stay as wide."""
     count = pieces.weight.size
     slack = float(np.finfo(np.longdouble).eps) * count * (count + 100)
     return replace(pieces, slack=min(slack, pieces.slack), extended=True)

@@ -1,4 +1,4 @@
-"""True zeros of a code, proven: exactly on the unit circle, by the Newton-Kantorovich theorem along a curved path."""
+"""Proven zeros of a code: in exact arithmetic on the unit circle, by Newton-Kantorovich along a curved path."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _NEWTON, _TRIED = 8, 2000
 
 @dataclass(frozen=True)
 class Zero:
-    """A frequency at which H is exactly zero, with what proves it.
+    """A frequency at which H is exactly zero, with its proof.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Zero:
     radius : float
         0 for a root of unity at the fraction ``at`` rounded.
     alone_within : float
-        No other zero lies this close; 0 where nothing is said.
+        No other zero lies this close; 0 where this is not known.
     order : int
         Of the root of unity, else 0.
     factor : tuple of int
@@ -53,7 +53,7 @@ class Zero:
 
     @property
     def method(self) -> str:
-        """What a certificate calls it."""
+        """Name of the proof in a certificate."""
         return f"root of unity of order {self.order}" if self.order else f"zero proven ({self.kind})"
 
     def to_dict(self) -> dict[str, Any]:
@@ -127,7 +127,7 @@ def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_
     trajectory : Trajectory
     code : ShutterCode
     budget : int
-        Cells looked at before giving up the claim to be complete.
+        Largest number of cells before the claim to be complete is given up.
     """
     if uniform_length_px(trajectory) is not None:
         return _straight_zeros(trajectory, code)

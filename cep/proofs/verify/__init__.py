@@ -1,1 +1,1 @@
-"""Second look at a certificate, with arithmetic of its own: nothing here imports what made it."""
+"""Independent verification of certificates: no code is shared with their making."""

@@ -1,6 +1,6 @@
-"""A second opinion on a certificate: plain, slow, and sharing no code with what made it.
+"""Independent check of a certificate: plain and slow, sharing no code with its making.
 
-Only numpy and the certificate's own data come in. Values are summed directly from the path's vertices; the lower bound
+It uses only numpy and the certificate's data. Values are summed directly from the path's vertices; the lower bound
 is checked by its own subdivision into cells of half-sides h and circumradius r, on which
 
     |H|  >=  |H0| - sum_i h_i |d|H|/df_i| - r^2 / 2 (2 pi)^2 lambda,
@@ -37,7 +37,7 @@ class Verdict:
     holds : bool
         Whether every claim was confirmed.
     reasons : tuple of str
-        One line per check: what was confirmed, or why not.
+        One line per check: the confirmed claim, or the reason why it was not confirmed.
     """
 
     holds: bool
@@ -74,7 +74,7 @@ def verify(
     path : (t, xy), optional
         Times (T,) from 0 to 1 and vertices (T, 2), px, where the certificate does not hold them itself.
     budget : int
-        Frequencies looked at before the check gives up, which counts as not confirmed.
+        Largest number of frequencies; a check that needs more counts as not confirmed.
 
     Examples
     --------
@@ -137,7 +137,7 @@ def _check(bits: str, claim: Mapping[str, Any], path: Any, budget: int, reasons:
         reasons.append("no lower bound above 0 is claimed")
         return
     for name, lines in ways.items():
-        # one way may see a straight stretch only, the other a bend: each has its own frequencies to look at
+        # open chips may lie on a straight stretch one way and on a bend the other: each way has its own frequencies
         looked = _nothing_below(*on_axis(lines, box), lower * (1 - _TOLERANCE), budget)
         reasons.append(f"{name}, nothing lies below the lower bound {lower:.9g} ({looked} frequencies)")
 

@@ -1,4 +1,4 @@
-"""The second opinion's own sums: H and its gradient, straight from the vertices; it imports nothing but numpy."""
+"""Sums of the independent check: H and its gradient, directly from the vertices, with numpy only."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _CHUNK = 2**19
 
 
 class RefusedError(Exception):
-    """A claim that does not hold, in words."""
+    """A claim does not hold; the message says why."""
 
 
 @dataclass(frozen=True)
 class Lines:
-    """Straight pieces seen by the shutter, about their centroid: weights (S,), middles and extents (S, 2)."""
+    """Straight pieces of the open path, about their centroid: weights (S,), middles and extents (S, 2)."""
 
     weight: FloatArray
     middle: FloatArray
@@ -94,7 +94,7 @@ def _about_centroid(weight: FloatArray, a: FloatArray, b: FloatArray) -> Lines:
 
 
 def on_axis(lines: Lines, box: FloatArray) -> tuple[Lines, FloatArray]:
-    """Along a straight path H depends on one frequency only: look at a line instead of the band."""
+    """Reduce a straight path to its axis: H depends on the frequency along it only."""
     shift = lines.delta[np.argmax(np.abs(lines.delta).sum(axis=1))]
     size = float(np.hypot(*shift))
     if box[1, 0] == box[1, 1] or size == 0:

@@ -1,4 +1,4 @@
-"""The second opinion on claimed zeros: integer division, a change of sign, the winding number of H."""
+"""Independent check of claimed zeros: integer division, a change of sign, the winding number of H."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MOST_TURNS = 2**17  # points on a circle
 
 
 def zero_holds(bits: str, zero: Mapping[str, Any], at: FloatArray, lines: Lines, vertices: Any) -> str:
-    """Say what proves the zero; raise RefusedError where nothing does.
+    """Return the proof of the zero in words; raise RefusedError where there is none.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def _crossing(bits: str, factor: list[int], turns: float, radius: float) -> str:
         raise RefusedError("the factor does not divide the code's polynomial")
     places = np.arange(len(factor)) - (len(factor) - 1) / 2
     wave = np.cos if factor[0] == factor[-1] else np.sin
-    # a straight motion's frequency is told to a few roundings only
+    # a straight motion's frequency is known to a few roundings only
     radius += 1e-12
     ends = [sum(value * wave(2 * pi * f * place) for value, place in zip(factor, places, strict=True)) for f in
             (turns - radius, turns + radius)]  # fmt: skip
