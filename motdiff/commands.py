@@ -1,4 +1,4 @@
-"""The commands of ``python -m motdiff``: everything about the network that is done in a shell."""
+"""Command line of ``python -m motdiff``: training, preparation, export, evaluation and sampling of the network."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ examples:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code: 0 done, 2 input that can be mended, 1 a failure, 130 Ctrl-C."""
+    """Run a command; returns the exit code: 0 done, 2 bad input, 1 a failure, 130 Ctrl-C."""
     parser: argparse.ArgumentParser = _Parser(
         prog="python -m motdiff", epilog=_EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -49,7 +49,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Tells of a wrong command line in one line, too."""
+    """Parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
         sys.exit(_told(f"{message} (see {self.prog} --help)", 2))
@@ -124,7 +124,7 @@ def _prepare(given: argparse.Namespace) -> None:
     from motdiff.training.photos import load_photos, split_photos
     from motdiff.training.prepared import prepare
 
-    torch.set_num_threads(1)  # the arrays are small: more threads only wait for each other
+    torch.set_num_threads(1)  # the arrays are small: more threads are slower
     shards = _shards(given.shards)
     config = read_config(given.config)
     if not config.data.photos:
@@ -138,7 +138,7 @@ def _prepare(given: argparse.Namespace) -> None:
         photography=config.photography,
         shards=shards,
         seed=config.optimiser.seed + (1 if given.held_out else 0),
-        told=lambda shard: print(f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True),  # noqa: T201
+        on_shard=lambda shard: print(f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True),  # noqa: T201
     )
 
 
@@ -204,7 +204,7 @@ def _sample(given: argparse.Namespace) -> None:
     import torch
 
     from motdiff.estimators.kernel_score import noise_sigma
-    from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
+    from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
     from motdiff.evaluation.pictures import drawn_sheet
     from motdiff.io.decoding import decode
     from motdiff.io.outputs import write_bytes
@@ -222,11 +222,11 @@ def _sample(given: argparse.Namespace) -> None:
         raise ValueError(f"--count: must be at least 1, got {given.count}")
     top, left = ((n - PHOTO_PX) // 2 for n in image.shape[:2])
     light = to_linear(image[top : top + PHOTO_PX, left : left + PHOTO_PX] / 255).mean(axis=2)[None]
-    told = searched_quickly(light, sigma=noise_sigma(light[0]))
+    classical = quick_search(light, sigma=noise_sigma(light[0]))
     generator = torch.Generator().manual_seed(given.seed)
     network = load_network(given.weights or DEFAULT_WEIGHTS)
-    psfs = draw_psfs(network, light, told, count=given.count, steps=given.steps, generator=generator)
-    write_bytes(given.out, drawn_sheet(light[0], told, psfs))
+    psfs = draw_psfs(network, light, classical, count=given.count, steps=given.steps, generator=generator)
+    write_bytes(given.out, drawn_sheet(light[0], classical, psfs))
 
 
 def _add_eval(commands: _Commands[argparse.ArgumentParser]) -> None:
@@ -286,7 +286,7 @@ def _eval(given: argparse.Namespace) -> None:
         given.out,
         restore=not given.no_restore,
         shown=given.shown,
-        told=lambda line: print(line, file=sys.stderr, flush=True),  # noqa: T201
+        report=lambda line: print(line, file=sys.stderr, flush=True),  # noqa: T201
     )
     options = {name: value for name, value in vars(given).items() if name not in ("command", "check")}
     document = report_document(outcome, options)

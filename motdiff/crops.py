@@ -1,4 +1,4 @@
-"""Where to look in a large photo: textured, unsaturated crops, and whether the blur is the same in all of them."""
+"""Selection of textured, unsaturated crops of a large photo, and a test of uniform blur across them."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def clipped_mask(photo: ArrayLike, *, level: float = CLIPPED_LEVEL) -> NDArray[n
 
 
 def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list[tuple[int, int]]:
-    """Choose crops that tell the most about the blur: edges in several directions, few clipped pixels, little overlap.
+    """Choose crops that constrain the blur best: edges in several directions, few clipped pixels, little overlap.
 
     A crop is worth the smaller eigenvalue of its structure tensor (the summed outer products of the gradient), so that
     stripes of one direction, which hide the motion along them, count for nothing.

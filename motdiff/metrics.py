@@ -1,4 +1,4 @@
-"""How well an estimate matches the truth: MNC of PSFs, path distance, PSNR and SSIM up to shift."""
+"""Metrics of an estimate against the truth: MNC of PSFs, path distance, PSNR and SSIM up to shift."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def register_shift(psf_a: ArrayLike, psf_b: ArrayLike) -> tuple[float, float]:
 
 
 def laid_on(truth: ArrayLike, psf: ArrayLike) -> FloatArray:
-    """Move ``psf`` onto ``truth`` by whole pixels, since a blind kernel lies anywhere; its frame grows by as much."""
+    """Move ``psf`` onto ``truth`` by whole pixels: a blind kernel may be shifted. Its frame grows by as much."""
     right_px, down_px = (round(shift) for shift in register_shift(truth, psf))
     return moved(psf, down_px=down_px, right_px=right_px)
 
@@ -278,7 +278,7 @@ def _best_aligned(
     height, width = (side - 2 * crop_px for side in moving.shape[:2])
 
     def shifted(dx: float, dy: float) -> FloatArray:
-        # bilinear, by slices: the error is looked at 171 times
+        # bilinear, by slices: the error is evaluated 171 times
         row, column = room + crop_px - dy, room + crop_px - dx
         y, x = int(np.floor(row)), int(np.floor(column))
         lower, right = row - y, column - x

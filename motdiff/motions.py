@@ -153,7 +153,7 @@ def random_gyro_motion(
     min_extent_rad : float
         Windows stiller than this are drawn again: enlarged, they would show the sensor's noise.
     rotate : bool
-        Turn the path by a random angle, so that the recording's own habit does not show.
+        Turn the path by a random angle: a recording may have a preferred direction.
 
     Raises
     ------

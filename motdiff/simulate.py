@@ -140,7 +140,7 @@ def photograph(
     read_sigma: float = 0.01,
     record: Callable[[FloatArray], FloatArray] | None = None,
 ) -> FloatArray:
-    """Take the blurred photo of a scene: every simulated photo but those of training, batched in torch, is taken here.
+    """Simulate the blurred photo of a scene; only training has its own, batched simulation in torch.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def photograph(
         Light comes from beyond the photo, as :func:`blur_valid`, or is mirrored there, as :func:`blur_symmetric`.
     photons_full_scale, read_sigma : as :func:`add_noise`
     record : callable, optional
-        From noisy light to what is recorded, such as a converter's rounding; clipping to 0..1 when omitted.
+        From noisy light to recorded values, such as a converter's rounding; clipping to 0..1 when omitted.
 
     Returns
     -------

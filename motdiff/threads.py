@@ -1,4 +1,4 @@
-"""How much of the machine an estimate takes: jobs side by side, one thread each, or one thread in all."""
+"""Thread limits: jobs side by side with one thread each, or one thread in total."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["one_thread", "one_thread_a_call", "side_by_side"]
 
 _Result = TypeVar("_Result")
 
-_ALONE = ContextVar("_ALONE", default=False)  # torch's own count says nothing: small arrays want 1 everywhere
+_ALONE = ContextVar("_ALONE", default=False)  # torch's own count does not matter: small arrays are fastest with 1
 _WITHIN = ContextVar("_WITHIN", default=False)
 
 
@@ -24,9 +24,9 @@ _WITHIN = ContextVar("_WITHIN", default=False)
 def one_thread_a_call() -> Iterator[None]:
     """Keep each call of torch, and of the BLAS under numpy and scipy, to one thread while the context lasts.
 
-    Threads on small arrays wait more than they work, and where the machine has other work they wait for a core each
-    time: a photo that took 2.5 s with one thread took 14 s and 24 CPU-s with four on four busy cores. What can go side
-    by side goes through :func:`side_by_side`. Torch's sums may depend on the number of threads in their last bits.
+    Threads on small arrays mostly wait, and on a busy machine they wait for a core each time: a photo that took 2.5 s
+    with one thread took 14 s and 24 CPU-s with four on four busy cores. :func:`side_by_side` runs independent jobs in
+    parallel. Torch's sums may depend on the number of threads in their last bits.
     Where several threads of a process are within it at once, the BLAS may have more again when one of them leaves.
     """
     if _WITHIN.get():
@@ -41,7 +41,7 @@ def one_thread_a_call() -> Iterator[None]:
 
 
 class _Threads:
-    """How many threads a call takes: the BLAS's count is the process's, torch's each thread's own.
+    """Thread counts of a call: the BLAS has one count per process, torch one per thread.
 
     A new thread begins with what any set last.
     """
@@ -131,6 +131,6 @@ def side_by_side(
 def _cores() -> int:
     if _ALONE.get():
         return 1
-    told = os.environ.get("OMP_NUM_THREADS", "").strip()
+    limit = os.environ.get("OMP_NUM_THREADS", "").strip()
     cores = os.cpu_count() or 1
-    return min(cores, int(told)) if told.isdigit() else cores
+    return min(cores, int(limit)) if limit.isdigit() else cores

@@ -1,6 +1,6 @@
-"""The path a camera draws during one exposure, with its exact OTF, PSF and HR map (numpy only).
+"""Trajectory of the image during one exposure, with its exact OTF, PSF and HR map (numpy only).
 
-A :class:`Trajectory` is piecewise linear in time. Everything here follows from that one statement: the OTF is a sum of
+A :class:`Trajectory` is piecewise linear in time. So the OTF is a sum of
 closed-form segment terms, and the PSF on a pixel grid is integrated exactly, so no rasterising error enters a design.
 """
 

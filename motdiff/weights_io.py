@@ -1,4 +1,4 @@
-"""Small weights files: float16 tensors in safetensors, with a header that says what they are."""
+"""Weights files: float16 tensors in safetensors, described by a header."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def halved(state: Mapping[str, Tensor], *, source: Path | str) -> dict[str, Tens
     ----------
     state : mapping of tensors
     source : path
-        What an error names.
+        Name in error messages.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""BlindDPS from weights that the user gives: photo and kernel drawn together from two diffusion priors.
+"""BlindDPS with weights of the user: photo and kernel sampled jointly from two diffusion priors.
 
 Nothing here ships a diffusion prior of photos. A folder of weights holds two programs of ``torch.export.save``:
 
@@ -7,7 +7,7 @@ image.pt2  (1, C, S, S), C = 1 or 3  photos as 2 v - 1 of their display values v
 kernel.pt2 (1, 1, K, K), K < S       kernels as 2 k / max(k) - 1
 ========== ======================== ========================================================================
 
-Each is a network ``eps(x, t)`` that tells the noise in ``x`` (float32) at timestep ``t`` ((1,) int64, 0..999) of the
+Each is a network ``eps(x, t)`` that predicts the noise in ``x`` (float32) at timestep ``t`` ((1,) int64, 0..999) of the
 linear schedule of :func:`linear_alpha_bar`; further output channels, such as a learned variance, are ignored. They run
 on the device that they were exported on, and as they were then: switch to ``eval()`` first.
 """
@@ -24,7 +24,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from motdiff.baselines.estimate_from_kernel import unjudged_estimate
+from motdiff.baselines.estimate_from_kernel import estimate_from_kernel
 from motdiff.crops import luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.training.simulation import blurred
@@ -36,7 +36,7 @@ _SRGB_KNEE = 0.0031308 * 12.92
 
 @dataclass(frozen=True)
 class Prior:
-    """What a diffusion knows of one unknown.
+    """Diffusion prior of one unknown.
 
     Attributes
     ----------
@@ -53,12 +53,12 @@ class Prior:
 
 
 class BlindDpsEstimator:
-    """Blind estimator that draws photo and kernel from their posterior, as far as two diffusion priors know it.
+    """Blind estimator that samples photo and kernel from their approximate posterior under two diffusion priors.
 
     Parameters
     ----------
     weights : path, optional
-        Folder as the module describes. Without it there is nothing to run: :meth:`estimate` says so.
+        Folder as the module describes; without it :meth:`estimate` raises an error.
     strength : float
         Of the pull towards the blurred photo, times the square root of ``alpha_bar``.
     seed : int
@@ -94,7 +94,7 @@ class BlindDpsEstimator:
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Draw the kernel of ``photo``, (H, W) or (H, W, 3), linear light 0..1, in its best crop of S - K + 1 px.
 
-        Its centroid lies at index 32, to whole pixels. Nothing judges the draw: ``confidence`` is 0.
+        Its centroid lies at index 32, to whole pixels. The draw is not scored: ``confidence`` is 0.
 
         Raises
         ------
@@ -119,7 +119,7 @@ class BlindDpsEstimator:
             progress=self._progress,
         )
         details = {"misfit": float(residual(*drawn).square().mean().sqrt()) / 2, "crop_px": size}
-        return unjudged_estimate("blinddps", _kernel_of(drawn[1]).double().cpu().numpy(), details)
+        return estimate_from_kernel("blinddps", _kernel_of(drawn[1]).double().cpu().numpy(), details)
 
 
 def linear_alpha_bar() -> tuple[float, ...]:
@@ -155,7 +155,7 @@ def sample_jointly(
     ----------
     priors : pair of Prior
     residual : callable
-        What is left of the measurement, any shape, when the clean signals are these two.
+        Residual of the measurement, any shape, for two clean signals.
     alpha_bar : sequence of float
         Share of the signal's power left at timestep 0..T-1.
     strength : float
@@ -218,7 +218,7 @@ def _load_prior(file: Path) -> Prior:
         raise FileNotFoundError(f"{file}: no such file; BlindDPS needs image.pt2 and kernel.pt2 in this folder")
     try:
         program = torch.export.load(file)
-    except Exception as error:  # torch raises what its reader and unpickler happen to
+    except Exception as error:  # torch's reader and unpickler raise exceptions of many types
         reason = str(error).split("\n")[0]
         raise ValueError(f"{file}: is no program of torch.export.save ({reason})") from error
     inputs = program.graph_signature.user_inputs

@@ -1,4 +1,4 @@
-"""A kernel that nothing judges, taken as its method gives it: put into the usual frame, and its path traced."""
+"""Estimate from a kernel without a confidence score: the kernel is cleaned and centred, and its path traced."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from motdiff.estimators.multiscale import without_faint_parts
 from motdiff.psf_frame import PSF_PX, centred, in_frame, without_faint_light
 from motdiff.tracing import simplest_trajectory
 
-__all__ = ["unjudged_estimate"]
+__all__ = ["estimate_from_kernel"]
 
-_FAINT = 0.01  # share of the peak: what a generator leaves off the path; nothing else cleans these kernels
+_FAINT = 0.01  # share of the peak: output of a generator off the path
 
 
-def unjudged_estimate(method: str, kernel: ArrayLike, details: Mapping[str, object]) -> MotionEstimate:
-    """Make an estimate of a kernel alone; its ``confidence`` is 0.
+def estimate_from_kernel(method: str, kernel: ArrayLike, details: Mapping[str, object]) -> MotionEstimate:
+    """Build an estimate from a kernel alone; its ``confidence`` is 0.
 
     Parameters
     ----------

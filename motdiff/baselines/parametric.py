@@ -1,4 +1,4 @@
-"""The parametric baseline: a network that knows quadratic paths only predicts one from the photo."""
+"""Parametric baseline: a network predicts one quadratic path from the photo."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from numpy.typing import ArrayLike
 
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.conditioning import looked_at
+from motdiff.estimators.conditioning import conditioning_maps
 from motdiff.psf_frame import PSF_PX
 from motdiff.tracing.quadratic import QuadraticPath
 
@@ -15,10 +15,10 @@ __all__ = ["ParametricEstimator"]
 
 
 class ParametricEstimator:
-    """Blind estimator of Motion-ETR's class: one quadratic path, predicted at once and taken as it is.
+    """Blind estimator of Motion-ETR's class: one quadratic path, predicted directly and not refined.
 
-    It has the condition network of the shipped MoTDiff and begins with its former weights, but what it can say, and
-    how long it learnt, differ: the shipped one saw 16,016 samples drawn from 704 prepared ones, MoTDiff 209,600 from
+    It has the condition network of the shipped MoTDiff and started from its former weights. Its output and its training
+    differ: the shipped one saw 16,016 samples drawn from 704 prepared ones, MoTDiff 209,600 from
     13,376.
     :func:`motdiff.tracing.quadratic.most_alike_quadratic` is the limit of the class.
 
@@ -38,14 +38,14 @@ class ParametricEstimator:
         self._network = load_path_network(PATH_WEIGHTS if weights is None else weights)
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Predict the path in ``photo``, (H, W) or (H, W, 3), linear light 0..1; see :func:`looked_at`.
+        """Predict the path in ``photo``, (H, W) or (H, W, 3), linear light 0..1; see :func:`conditioning_maps`.
 
-        Nothing judges the path: ``confidence`` is 0.
+        The path is not scored: ``confidence`` is 0.
         """
         import torch
 
         with torch.no_grad():
-            drift, bend = self._network(None, looked_at(photo))[0].double().numpy()
+            drift, bend = self._network(None, conditioning_maps(photo))[0].double().numpy()
         path = QuadraticPath(drift, bend)
         trajectory = path.trajectory()
         return MotionEstimate(

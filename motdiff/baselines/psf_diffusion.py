@@ -1,4 +1,4 @@
-"""The PSF baseline: a diffusion model draws the 64 x 64 PSF, and the path is traced from it afterwards."""
+"""PSF baseline: a diffusion model samples the 64 x 64 PSF, and the path is traced from it."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from motdiff.baselines.estimate_from_kernel import unjudged_estimate
+from motdiff.baselines.estimate_from_kernel import estimate_from_kernel
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.conditioning import looked_at
+from motdiff.estimators.conditioning import conditioning_maps
 
 __all__ = ["PsfDiffusionEstimator"]
 
 
 class PsfDiffusionEstimator:
-    """Blind estimator in Kernel-Diff's representation: one PSF drawn by conditional diffusion, taken as it is.
+    """Blind estimator in Kernel-Diff's representation: one PSF sampled by conditional diffusion, not refined.
 
-    It has the condition network of the shipped MoTDiff and begins with its former weights, but what it draws, and how
-    long it learnt, differ: the shipped one saw 12,816 samples drawn from 704 prepared ones, MoTDiff 209,600 from
+    It has the condition network of the shipped MoTDiff and started from its former weights. Its output and its training
+    differ: the shipped one saw 12,816 samples drawn from 704 prepared ones, MoTDiff 209,600 from
     13,376.
     Kernel-Diff's guidance by a deblurring network at each of 1000 steps is not part of it.
 
@@ -45,16 +45,16 @@ class PsfDiffusionEstimator:
         self._steps, self._seed = steps, seed
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Draw the PSF of ``photo``, (H, W) or (H, W, 3), linear light 0..1; see :func:`looked_at`.
+        """Draw the PSF of ``photo``, (H, W) or (H, W, 3), linear light 0..1; see :func:`conditioning_maps`.
 
-        Its centroid lies at the middle of its frame, to whole pixels. Nothing judges the draw: ``confidence`` is 0.
+        Its centroid lies at the middle of its frame, to whole pixels. The draw is not scored: ``confidence`` is 0.
         """
         import torch
 
         from motdiff.network.sampling import psfs_of_signals, sample_paths
 
         with torch.no_grad():
-            condition = self._network.condition(None, looked_at(photo))
+            condition = self._network.condition(None, conditioning_maps(photo))
             drawn = sample_paths(
                 self._network,
                 condition,
@@ -64,4 +64,4 @@ class PsfDiffusionEstimator:
                 generator=torch.Generator().manual_seed(self._seed),
             )
             psf = psfs_of_signals(drawn.path[0, 0].double()).numpy()
-        return unjudged_estimate("psf-diffusion", psf, {"steps": self._steps})
+        return estimate_from_kernel("psf-diffusion", psf, {"steps": self._steps})

@@ -1,4 +1,4 @@
-"""What every estimator returns, and the one Protocol they share."""
+"""Result and protocol of all estimators."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class MotionEstimate:
     confidence : float
         0..1, how likely the estimate is good rather than lost.
     warnings : tuple of str
-        What the user should know, one sentence each.
+        Warnings for the user, one sentence each.
     details : dict
         Figures behind the estimate (JSON-able), for the report.
     """

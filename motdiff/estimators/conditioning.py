@@ -1,4 +1,4 @@
-"""What a learned estimator is told of a photo: crops of it, and what physics says about their blur."""
+"""Conditioning inputs of the learned estimators: physics maps of a photo's crops."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from motdiff.estimators.base import SMALLEST_PX
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["looked_at"]
+__all__ = ["conditioning_maps"]
 
 _MOST_CROPS = 3
 
 
-def looked_at(photo: ArrayLike) -> Tensor:
+def conditioning_maps(photo: ArrayLike) -> Tensor:
     """Physics maps (1, 8, 64, 64) of a photo, see :func:`motdiff.network.physics_maps.physics_maps`.
 
     Parameters
     ----------
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1
-        A large one is looked at in its three best crops.
+        Of a large one its three best crops are used.
 
     Raises
     ------
@@ -34,12 +34,12 @@ def looked_at(photo: ArrayLike) -> Tensor:
     import torch
 
     from motdiff.estimators.kernel_score import noise_sigma
-    from motdiff.estimators.motdiff.drawing import searched_quickly
+    from motdiff.estimators.motdiff.drawing import quick_search
     from motdiff.network.physics_maps import physics_maps
 
     grey = textured_luminance(photo, least_px=SMALLEST_PX["motdiff"])
     crops = best_crops(grey, count=_MOST_CROPS)
-    told = searched_quickly(crops, sigma=noise_sigma(crops[0]))
-    light, kernels = (torch.from_numpy(array.astype(np.float32))[None] for array in (crops, told))
+    classical = quick_search(crops, sigma=noise_sigma(crops[0]))
+    light, kernels = (torch.from_numpy(array.astype(np.float32))[None] for array in (crops, classical))
     with torch.no_grad():
         return physics_maps(light, kernels)

@@ -1,4 +1,4 @@
-"""Motion from a gyroscope that rode on the camera: path, dwell and direction are all measured."""
+"""Motion from a gyroscope on the camera: path, dwell and direction are measured."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TRUSTED_STEP_S = 0.01  # hands shake up to about 12 Hz; a slower recording miss
 class GyroEstimator:
     """Integrate a gyroscope's rates over the exposure.
 
-    The photo is only looked at for its size: the trajectory is that of :func:`motdiff.gyro.trajectory_from_gyro`, with
+    Only the photo's size is used: the trajectory is that of :func:`motdiff.gyro.trajectory_from_gyro`, with
     known direction and dwell, and shares its assumptions (rotation only, small angles, one motion for the whole photo).
 
     ``confidence`` is 1 less the share of the motion that the trajectory cannot hold: displacement by roll at the

@@ -1,8 +1,8 @@
-"""Telling a good kernel from a lost one, without the truth.
+"""No-reference quality score of blur kernels.
 
-Blind estimation fails silently: a lost kernel restores to a sparse picture too, so sparsity cannot choose. Two things
-that the sparse search never looks at can. The photo's *power spectrum* has the kernel's zeros in it (no phase), and
-the *phase* tells a kernel from its point reflection (same power). Both are compared with nothing but the photo.
+Blind estimation fails silently: a wrong kernel restores to a sparse picture too, so sparsity cannot choose. Two cues
+that the sparse search does not use can. The photo's *power spectrum* has the kernel's zeros in it (no phase), and
+the *phase* distinguishes a kernel from its point reflection (same power). Both are compared with nothing but the photo.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _SPARSE_NORM = 0.8
 
 @dataclass(frozen=True)
 class Ranking:
-    """Which of several kernels to believe, and how much.
+    """Best of several kernels, and the probability of each to be good.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class Spectrum:
 
 
 class Phase:
-    """A photo prepared to tell kernels from their point reflections, which have the same power.
+    """A photo prepared to distinguish kernels from their point reflections, which have the same power.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class Phase:
 
 
 class Judge:
-    """The crops of a photo, prepared to judge kernels by what the search never looks at.
+    """Crops of a photo, prepared to score kernels by spectrum and phase, which the search does not use.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ _SEARCHED, _DRAWN = (8.3, -5.15), (12.5, -8.5)
 def kernel_score(evidence: FloatArray, agreement: FloatArray | float = 0.0) -> FloatArray:
     """Quality (K,) of kernels from their :meth:`Judge.evidence` (K, 3) and their agreement (K,) with other candidates.
 
-    Agreement is a mean MNC; leave it out to compare by the photo alone.
+    Agreement is a mean MNC; omit it to compare by the photo alone.
     """
     return np.asarray(evidence @ _EVIDENCE_WEIGHTS + _AGREEMENT_WEIGHT * agreement, dtype=np.float64)
 
@@ -283,9 +283,9 @@ _CLEARLY = 0.02  # docs/decisions/motion-estimation.md
 
 
 def uneven_blur_warning(crops: FloatArray, own: Sequence[FloatArray], shared: FloatArray) -> str | None:
-    """Return a sentence for the user when no kernel explains every crop as well as that crop's own, else None.
+    """Return a warning when no kernel explains every crop as well as that crop's own, else None.
 
-    That the kernels of single crops differ says little: a search in one crop is lost more often than a blur differs.
+    Different kernels of single crops are no evidence: a search in one crop fails more often than a blur differs.
 
     Parameters
     ----------

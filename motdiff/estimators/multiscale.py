@@ -1,4 +1,4 @@
-"""Blind estimation in a photo of any size: crops, a search for kernels, one choice, half size where that is better."""
+"""Blind estimation in a photo of any size: crops, kernel search and choice, at half size where that is better."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out hig
 
 @dataclass(frozen=True)
 class Found:
-    """What a search found in the crops of one photo.
+    """Kernels that a search found in the crops of one photo.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Found:
     details : dict
         Figures for the report.
     warnings : tuple of str
-        What the user should know, one sentence each.
+        Warnings for the user, one sentence each.
     """
 
     kernels: tuple[FloatArray, ...]
@@ -78,7 +78,7 @@ class KernelSearch(Protocol):
         ...
 
     def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:
-        """Search each crop alone, in the cheapest way: the kernels tell whether the blur is the same everywhere."""
+        """Search each crop alone, in the cheapest way, to test whether the blur is uniform."""
         ...
 
 
@@ -128,7 +128,7 @@ def estimate_blind(photo: ArrayLike, search: KernelSearch, *, method: str, most_
 
 @dataclass(frozen=True)
 class _Level:
-    """What one scale of the photo gave."""
+    """Result at one scale of the photo."""
 
     factor: int
     crops: FloatArray
@@ -137,14 +137,14 @@ class _Level:
 
 def _level(grey: FloatArray, factor: int, search: KernelSearch, most_crops: int) -> _Level:
     crops = best_crops(grey, count=most_crops)
-    crops = crops[np.ptp(crops, axis=(1, 2)) > 0]  # a burnt-out sky says nothing, not even noise
+    crops = crops[np.ptp(crops, axis=(1, 2)) > 0]  # a clipped sky has no texture and no noise
     if not len(crops):
         raise ValueError("photo: has edges of one direction at most; motion shows only where the scene has texture")
     return _Level(factor, crops, search.search(crops))
 
 
 def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:
-    """Tell whether the blur outgrew the search, or is lost in a photo with pixels to spare."""
+    """Whether the blur is too large for the search, or the search failed in a large photo."""
     side_px = full_side_px // level.factor
     y, x = np.nonzero(level.found.kernels[level.found.best])
     outgrown = max(np.ptp(y), np.ptp(x)) + 1 > _LARGEST_EXTENT * largest_px

@@ -1,4 +1,4 @@
-"""Motion from a photo of a small light that drew its own path."""
+"""Motion from the streak of a point light."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class PointEstimator:
             raise ValueError(f"photo: shows no light streak above its background{why}")
         best = max(streaks, key=lambda s: (s.clipped_share <= _LOST_TO_CLIPPING, _snr(s)))
         others = sorted((s for s in streaks if s is not best), key=_snr, reverse=True)
-        # faint streaks neither help nor tell whether the blur differs
+        # faint streaks add nothing to the average or to the test of uniform blur
         comparable = [s for s in others if _snr(s) > 0.2 * _snr(best) and s.clipped_share <= _LOST_TO_CLIPPING]
         agreeing = [s for s in comparable if mnc_subpixel(best.psf, s.psf) >= self.agreement][: self.most - 1]
         psf = in_frame(centred(_average([best, *agreeing])), self.size)

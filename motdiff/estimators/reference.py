@@ -1,4 +1,4 @@
-"""Motion from a pair: the blurred photo and a sharp one of the same scene."""
+"""Motion from a pair of photos: blurred and sharp, of the same scene."""
 
 from __future__ import annotations
 

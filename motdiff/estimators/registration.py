@@ -1,4 +1,4 @@
-"""Where one photo lies on another, to whole pixels and at any size, by cross-correlation of their fine detail."""
+"""Registration of two photos to whole pixels, by cross-correlation of their fine detail."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What needs no estimator: trivial kernels below every table, and the truth, or its path alone, above it.
+"""Floors and ceilings of the tables: trivial kernels, and kernels made from the truth.
 
-MNC subtracts no mean, so a blob that knows nothing scores 0.4 to 0.6. A figure means something only beside these.
+MNC subtracts no mean, so a Gaussian blob scores 0.4 to 0.6. Figures are to be read beside these.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def mean_kernel(mix: MotionMix, *, seed: int, count: int = _OTHERS) -> FloatArra
 def mean_psf(psfs: Sequence[FloatArray]) -> FloatArray:
     """Mean of PSFs (S, S) of even size, sum 1, its centroid at index ``S // 2`` to whole pixels.
 
-    MNC is blind to shifts, so each motion is laid where it is most like the others (three rounds of registration to the
+    MNC ignores shifts, so each motion is laid where it is most like the others (three rounds of registration to the
     mean). With the centroids on each other instead, shakes that dwell in one place average to a blur: over 60 gyro
     motions 0.40 instead of 0.53, a floor that is too easy to beat.
     """
@@ -81,7 +81,7 @@ def mean_psf(psfs: Sequence[FloatArray]) -> FloatArray:
 
 
 def path_kernel(trajectory: Trajectory) -> FloatArray:
-    """PSF (64, 64), sum 1, of the path as a binary map: what a perfect estimate without dwell can reach.
+    """PSF (64, 64), sum 1, of the path as a binary map: the limit of an estimate without dwell.
 
     Seen through the bilinear hat of each PSF pixel, as the trajectory's own PSF is.
 
@@ -104,7 +104,7 @@ def quadratic_kernel(trajectory: Trajectory) -> FloatArray:
 
 
 def floors(mean: FloatArray | None = None) -> dict[str, FloatArray]:
-    """Kernels that know nothing of the photo, by name: "delta", "gaussian" and, where it is given, "mean-kernel".
+    """Kernels independent of the photo, by name: "delta", "gaussian" and, where it is given, "mean-kernel".
 
     Parameters
     ----------
@@ -116,10 +116,10 @@ def floors(mean: FloatArray | None = None) -> dict[str, FloatArray]:
 
 
 def ceilings(case: Case) -> dict[str, FloatArray]:
-    """Kernels that know everything, by name; the last is "true-kernel".
+    """Kernels made from the truth, by name; the last is "true-kernel".
 
-    Where the trajectory is known, "best-quadratic" and "true-path" come before it: all that a quadratic path, or a path
-    without dwell, can tell.
+    Where the trajectory is known, "best-quadratic" and "true-path" come before it: the limits of quadratic paths and of
+    paths without dwell.
     """
     if case.trajectory is None:
         return {"true-kernel": case.psf}

@@ -55,12 +55,11 @@ class Row:
     psnr_db, ssim : float
         Of the photo's luminance restored with the PSF, up to shift.
     confidence : float
-        As the estimator says, 0..1.
+        Of the estimate, 0..1.
     cpu_s : float, seconds
-        Processor time of the estimate, all threads, with what an estimate that was stopped and taken up again took
-        before.
+        Processor time of the estimate, all threads, including earlier runs of a resumed estimate.
     failure : str
-        Why the estimator gave none; "" when it did.
+        Reason of a failure; "" for an estimate.
     """
 
     set: str
@@ -120,9 +119,9 @@ def measure_psf(set_name: str, case: Case, method: str, psf: FloatArray, *, rest
 def measure_estimator(
     set_name: str, case: Case, method: str, estimator: Estimator, *, restore: bool = True
 ) -> Measured:
-    """Run an estimator on the photo and measure what it says; a ``ValueError`` makes a row with ``failure``.
+    """Run an estimator on the photo and measure its result; a ``ValueError`` makes a row with ``failure``.
 
-    An estimate that goes on from a checkpoint says in its details, as ``earlier_cpu_s``, what it took until then.
+    An estimate resumed from a checkpoint has its earlier processor time in its details, as ``earlier_cpu_s``.
 
     Parameters
     ----------
@@ -189,8 +188,8 @@ def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:
 
 
 def _earlier_cpu_s(estimate: MotionEstimate) -> float:
-    told = estimate.details.get("earlier_cpu_s", 0.0)
-    return float(told) if isinstance(told, int | float) else 0.0
+    earlier = estimate.details.get("earlier_cpu_s", 0.0)
+    return float(earlier) if isinstance(earlier, int | float) else 0.0
 
 
 def _path_figures(case: Case, estimate: MotionEstimate) -> tuple[float, float]:

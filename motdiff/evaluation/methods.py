@@ -26,7 +26,7 @@ _FIXED = ("pmp", "parametric", "psf-diffusion", *SLOW_METHODS)  # which the weig
 
 
 class NetworkAlone:
-    """The network's answer as it is: no judgement, no refinement, no fall-back.
+    """The network's output unchanged: no scoring, no refinement, no fall-back.
 
     The paper measures draws of many steps; one step, as MoTDiff takes here, gives the mean guess and a higher MNC.
 
@@ -59,18 +59,18 @@ class NetworkAlone:
 
         from motdiff.crops import luminance
         from motdiff.estimators.kernel_score import noise_sigma
-        from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
+        from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
         from motdiff.tracing import simplest_trajectory
 
         grey = luminance(photo)
-        told = np.zeros((0, 64, 64))
+        classical = np.zeros((0, 64, 64))
         if self._network.physics is not None:
-            told = searched_quickly(grey[None], sigma=noise_sigma(grey))
+            classical = quick_search(grey[None], sigma=noise_sigma(grey))
         generator = torch.Generator().manual_seed(self._seed)
         (psf,) = draw_psfs(
             self._network,
             grey[None],
-            told,
+            classical,
             count=1,
             steps=self._steps,
             generator=generator,
@@ -80,7 +80,7 @@ class NetworkAlone:
 
 
 def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> dict[str, Estimator]:
-    """Make the estimators that a table should have.
+    """Make estimators by name.
 
     Parameters
     ----------
@@ -125,19 +125,19 @@ def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> di
 
 
 def _fixed(method: str) -> Estimator:
-    name, _, told = method.partition(":")
+    name, _, option = method.partition(":")
     if name == "selfdeblur":
-        return _selfdeblur(told)
+        return _selfdeblur(option)
     if name == "blinddps":
         from motdiff.baselines.blinddps import BlindDpsEstimator
 
-        return BlindDpsEstimator(told or None)
+        return BlindDpsEstimator(option or None)
     if method == "parametric":
         from motdiff.baselines.parametric import ParametricEstimator
 
         return ParametricEstimator()
     if name == "psf-diffusion":
-        return _psf_diffusion(told)
+        return _psf_diffusion(option)
     from motdiff.estimators.pmp import PmpEstimator
 
     return PmpEstimator()
@@ -157,7 +157,7 @@ def _selfdeblur(iterations: str) -> Estimator:
     if iterations and not iterations.isdigit():
         raise ValueError(f"method: must be selfdeblur or selfdeblur:ITERATIONS, got {'selfdeblur:' + iterations!r}")
     config = SelfDeblurConfig(iterations=int(iterations)) if iterations else SelfDeblurConfig()
-    # an evaluation that is stopped after hours goes on in the middle of its photo
+    # an interrupted evaluation resumes in the middle of its photo
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return SelfDeblurEstimator(config=config, checkpoints=cache / "motdiff" / "selfdeblur")
 

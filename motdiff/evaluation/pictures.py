@@ -1,4 +1,4 @@
-"""What a table hides, to look at: photos with the kernels found in them, and confidence against what happened."""
+"""Pictures of an evaluation: photos with their estimated kernels, and reliability of the confidence."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _TILE_IN = 1.3
 
 
 def reliability_plot(bins: Sequence[Bin]) -> bytes:
-    """Plot the share of good estimates over the confidence said, one line per method, as PNG.
+    """Plot the share of good estimates over their confidence, one line per method, as PNG.
 
-    Bars are the standard error of a share of so few; on the diagonal, confidence keeps its word.
+    Bars are standard errors; on the diagonal the confidence is calibrated.
     """
     figure = _figure(5.0, 5.0)
     axes = figure.add_subplot()
@@ -79,18 +79,18 @@ def contact_sheet(cases: Sequence[Case], kernels: Mapping[str, Mapping[str, Floa
     return _png(figure)
 
 
-def drawn_sheet(photo: FloatArray, told: FloatArray, psfs: FloatArray) -> bytes:
-    """Lay out a photo, the kernels the network was told of, and the PSFs it drew, as PNG; PSFs by the square root.
+def drawn_sheet(photo: FloatArray, classical: FloatArray, psfs: FloatArray) -> bytes:
+    """Lay out a photo, the classical kernels given to the network, and its draws, as PNG; PSFs by the square root.
 
     Parameters
     ----------
     photo : (H, W) float, linear light
-    told : (Q, 64, 64) float
+    classical : (Q, 64, 64) float
     psfs : (K, 64, 64) float
     """
-    titles = ["photo", *["classical"] * len(told), *[f"draw {i + 1}" for i in range(len(psfs))]]
+    titles = ["photo", *["classical"] * len(classical), *[f"draw {i + 1}" for i in range(len(psfs))]]
     figure = _figure(_TILE_IN * len(titles), _TILE_IN + 0.3)
-    pictures = [np.clip(photo, 0, 1) ** (1 / 2.2), *np.sqrt(told), *np.sqrt(psfs)]
+    pictures = [np.clip(photo, 0, 1) ** (1 / 2.2), *np.sqrt(classical), *np.sqrt(psfs)]
     for place, (title, picture) in enumerate(zip(titles, pictures, strict=True)):
         axes = figure.add_subplot(1, len(titles), place + 1)
         axes.imshow(picture, cmap="gray")

@@ -1,4 +1,4 @@
-"""What an evaluation leaves behind: tables for people and programs, and pictures."""
+"""Report files of an evaluation: text, CSV and JSON tables, and pictures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["report_document", "report_text", "write_report"]
 
 
 def report_text(outcome: Outcome) -> str:
-    """Tables for people."""
+    """Tables as text."""
     if not outcome.rows:
         return "nothing was measured"
     text = summary_text(summed_up(outcome.rows))
@@ -26,12 +26,12 @@ def report_text(outcome: Outcome) -> str:
 
 
 def report_document(outcome: Outcome, options: Mapping[str, object]) -> dict[str, object]:
-    """Tables for programs, ready for JSON: what was not measured is None, paths are text.
+    """Tables ready for JSON; missing figures are None, paths are text.
 
     Parameters
     ----------
     outcome : Outcome
-    options : mapping, what was asked for
+    options : mapping, options of the command
     """
     document = {
         "options": dict(options),

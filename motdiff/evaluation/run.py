@@ -1,4 +1,4 @@
-"""An evaluation, case by case: rows are saved as they come, so that Ctrl-C loses nothing."""
+"""Run of an evaluation, case by case; rows are saved at once, so that Ctrl-C loses nothing."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class CaseSet:
 
 @dataclass
 class Outcome:
-    """What was measured so far.
+    """Results measured so far.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ def evaluate(
     *,
     restore: bool = True,
     shown: int = 8,
-    told: Callable[[str], None] = lambda _line: None,
+    report: Callable[[str], None] = lambda _line: None,
 ) -> Outcome:
     """Measure floors, estimators and ceilings on every case; each row goes to ``out/rows.csv`` at once.
 
@@ -143,12 +143,12 @@ def evaluate(
         Whether photos are restored to measure PSNR and SSIM (0.9 CPU-s per row).
     shown : int
         Cases kept for each contact sheet.
-    told : callable
+    report : callable
         Called with a line of progress.
 
     Returns
     -------
-    Outcome; after Ctrl-C what was done before it, with ``stopped``
+    Outcome; after Ctrl-C the cases until then, with ``stopped``
     """
     out.mkdir(parents=True, exist_ok=True)
     outcome = Outcome()
@@ -169,10 +169,10 @@ def evaluate(
                             by_method = outcome.kernels.setdefault(case_set.name, {})
                             by_method.setdefault(row.method, {})[case.name] = measured.psf
                         if row.method in estimators:
-                            told(f"{case_set.name} {number}/{case_set.count}  {row.method}  {_in_short(row)}")
+                            report(f"{case_set.name} {number}/{case_set.count}  {row.method}  {_in_short(row)}")
                     done += 1
                     left_min = (total - done) * (time.monotonic() - began_s) / done / 60
-                    told(f"{case_set.name} {number}/{case_set.count} done, {left_min:.1f} min left")
+                    report(f"{case_set.name} {number}/{case_set.count} done, {left_min:.1f} min left")
         except KeyboardInterrupt:
             outcome.stopped = True
     return outcome

@@ -39,7 +39,7 @@ _STREAM = 0x6576616C  # keeps these motions apart from those that a training run
 
 @dataclass(frozen=True)
 class Case:
-    """A blurred photo and what is known about it.
+    """A blurred photo with its true kernel and, where known, the sharp photo and the motion.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a simulated set is made.
+    """Recipe of a simulated set.
 
     Attributes
     ----------

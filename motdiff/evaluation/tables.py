@@ -1,4 +1,4 @@
-"""Rows summed up: mean, spread and worst case per method, and whether confidence says what happens."""
+"""Summaries of rows: mean, spread and worst case per method, and calibration of the confidence."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Iterable[float]) -> Spread:
-        """Sum up the values that are not NaN."""
+        """Summarise the values that are not NaN."""
         known = np.array([value for value in values if not math.isnan(value)])
         if known.size == 0:
             return cls(math.nan, math.nan, math.nan)
@@ -96,7 +96,7 @@ class Bin:
 
 
 def summed_up(rows: Iterable[Row]) -> list[Summary]:
-    """Sum up per set and method, both in the order of their first row."""
+    """Summarise per set and method, both in the order of their first row."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row.set, row.method), []).append(row)
@@ -115,7 +115,7 @@ def summed_up(rows: Iterable[Row]) -> list[Summary]:
 
 
 def calibration(rows: Iterable[Row], *, edges: Sequence[float] = _EDGES) -> list[Bin]:
-    """Compare what estimators said with how often they were right, in bins of confidence; empty bins are left out.
+    """Compare confidence with the share of good estimates, in bins of confidence; empty bins are left out.
 
     Parameters
     ----------

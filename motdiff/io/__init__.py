@@ -1,1 +1,1 @@
-"""Files: photos, trajectories, gyroscope recordings, MATLAB files; inputs that are refused, outputs written whole."""
+"""Files: photos, trajectories, gyroscope recordings, MATLAB files; checks of inputs, atomic outputs."""

@@ -1,4 +1,4 @@
-"""Image files decoded by OpenCV, in silence: what the decoders print is damage that they passed over."""
+"""Decoding of image files by OpenCV; messages of the decoders are captured as reports of damage."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def decode(data: bytes, name: object, *, colour: bool = False) -> tuple[NDArray[
     image : (H, W) or (H, W, C) array
         Blue green red, or with a fourth channel for transparency.
     damage : tuple of str
-        What a JPEG's decoder says of damage that it passed over.
+        Messages of the JPEG decoder about damage that it skipped.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def decode(data: bytes, name: object, *, colour: bool = False) -> tuple[NDArray[
     """
     import cv2
 
-    # A JPEG may say how the camera was held; OpenCV turns it upright unless told "unchanged".
+    # A JPEG may hold an orientation; OpenCV turns it upright unless asked for "unchanged".
     turned = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
     flags = cv2.IMREAD_COLOR if colour else turned if data.startswith(JPEG) else cv2.IMREAD_UNCHANGED
     with decoder_output() as printed:
@@ -60,7 +60,7 @@ def decode(data: bytes, name: object, *, colour: bool = False) -> tuple[NDArray[
 
 @contextmanager
 def decoder_output() -> Iterator[list[str]]:
-    """Keep libraries in C from printing to standard error; OpenCV and LibRaw do not pass on what their decoders say.
+    """Capture standard error of C libraries: OpenCV and LibRaw do not pass on the messages of their decoders.
 
     Yields
     ------

@@ -1,4 +1,4 @@
-"""Tables of gyroscope recordings as loggers write them: columns and units found by the header, rates in rad/s."""
+"""Reader of gyroscope recordings as tables: columns and units by the header, rates in rad/s."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _RATE = (
 
 @dataclass(frozen=True)
 class _Columns:
-    """Where the time and the rates about x, y and z stand, and in which units as far as the header says."""
+    """Columns of the time and of the rates about x, y and z, and their units where the header has them."""
 
     index: tuple[int, int, int, int] = (0, 1, 2, 3)
     time_unit: TimeUnit | None = None
@@ -121,7 +121,7 @@ def _columns(header: Sequence[str]) -> _Columns | None:
 
 
 def _as_time(name: str) -> TimeUnit | Literal[""] | None:
-    """Tell a column of times by its unit, ``t_ns``, ``time [s]``; empty where it has none, None for other columns."""
+    """Return the unit of a column of times (``t_ns``, ``time [s]``), empty if unnamed; None for other columns."""
     plain, units = _plain(name), "|".join(f"(?P<{unit}>{spelled})" for unit, spelled in _TIME_UNITS.items())
     found = re.fullmatch(f"(?P<seconds_elapsed>seconds_elapsed)|({_TIME})(_({units}))?", plain)
     if found is None:
@@ -130,7 +130,7 @@ def _as_time(name: str) -> TimeUnit | Literal[""] | None:
 
 
 def _as_rate(name: str) -> tuple[str, str, RateUnit | None] | None:
-    """Tell a column of rates: its kind, axis and unit, as of ``wx``, ``gyro_y [rad/s]``, ``Gyroscope z (deg/s)``."""
+    """Recognise a column of rates by kind, axis and unit, as ``wx``, ``gyro_y [rad/s]``, ``Gyroscope z (deg/s)``."""
     plain, units = _plain(name), "|".join(f"(?P<{unit}>{spelled})" for unit, spelled in _RATE_UNITS.items())
     found = re.fullmatch(f"(?P<kind>{_RATE})_?(?P<axis>[xyz])(_axis)?(_({units}))?", plain)
     if found is None:

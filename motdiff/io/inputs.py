@@ -1,4 +1,4 @@
-"""Input files: regular files only, as text, JSON or TOML; what is wrong with one is said in one short line."""
+"""Input files: regular files only, as text, JSON or TOML; errors are one short line."""
 
 from __future__ import annotations
 

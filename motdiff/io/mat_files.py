@@ -1,4 +1,4 @@
-"""MATLAB's .mat files, read by SciPy in a process of its own: damaged ones make it crash, hang or take all memory."""
+"""MATLAB's .mat files, read by SciPy in a separate process: a damaged file may make it crash, hang or fill memory."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def read_mat(path: Path | str, names: Sequence[str]) -> dict[str, NDArray[Any]]:
         If there is no such file.
     """
     source = regular_file(path)
-    with source.open("rb"):  # what may not be read is refused here, by the system's own word
+    with source.open("rb"):  # an unreadable file is refused here, with the system's error
         pass
     stream = BytesIO(_answer(source, names))
     try:

@@ -1,4 +1,4 @@
-"""Output files that appear whole and together: written under temporary names, renamed when all are written."""
+"""Atomic output files: written under temporary names, renamed together when all are written."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = [
 
 @contextmanager
 def new_files(paths: Iterable[Path | str]) -> Iterator[dict[Path, Path]]:
-    """Yield a temporary name for each file; on leaving well all files appear together, otherwise none does.
+    """Yield a temporary name for each file; on success all files appear together, otherwise none does.
 
     Temporary names end in the file names. A symbolic link stays: the file it leads to is replaced.
 

@@ -24,7 +24,7 @@ _FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # SOF0 to SOF15 with
 
 
 def photo_bytes(path: Path | str) -> bytes:
-    """Read an image file that is worth decoding: complete, as far as its format tells, and not too large.
+    """Read an image file for decoding; incomplete and too large files are refused.
 
     Decoders fill the missing part of a cut file with grey and call it a success. And a small file may hold a large
     image: a white one of 30,000 x 30,000 px fits into a megabyte, and takes gigabytes once it is decoded.
@@ -113,7 +113,7 @@ def _jpeg_complete(data: bytes) -> bool:
 
 
 def _webp_complete(data: bytes) -> bool:
-    """Compare the length with what the file says of itself."""
+    """Compare the length with the one in the file's header."""
     (length,) = struct.unpack_from("<I", data, 4)
     return bool(8 + length <= len(data))
 

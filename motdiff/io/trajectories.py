@@ -23,7 +23,7 @@ _DENSE, _THINNED_PX = 2000, 1e-4
 
 @dataclass(frozen=True)
 class StoredMotion:
-    """What a trajectory file holds.
+    """Content of a trajectory file.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class StoredMotion:
     alternatives : tuple of (weight, Trajectory)
         Other motions that explain the photo.
     source : mapping
-        ``method``, ``image``, ``seed``: how it was found.
+        ``method``, ``image``, ``seed`` of the estimate.
     """
 
     trajectory: Trajectory

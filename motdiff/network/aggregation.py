@@ -1,4 +1,4 @@
-"""From features at four scales to one condition z1 at a quarter of the photo's size, coarse to fine."""
+"""Aggregation of features at four scales, coarse to fine, to one condition z1 at a quarter of the photo's size."""
 
 from __future__ import annotations
 

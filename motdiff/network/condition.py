@@ -1,4 +1,4 @@
-"""From a photo and physics maps of it to one condition on the PSF's grid, shared by all that is drawn from it."""
+"""Condition network: a photo and its physics maps to one condition on the PSF's grid, shared by all samples."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class PhotoEncoder(nn.Module):
 
 
 class ConditionNetwork(nn.Module):
-    """Photo and physics maps to the condition; what is drawn from it comes in subclasses.
+    """Photo and physics maps to the condition; base class of the networks that predict from it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a MoTDiff network is built of: one frozen record, stored as JSON beside the weights."""
+"""Configuration of a MoTDiff network: one frozen record, stored as JSON in the weights file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TARGETS = ("map", "psf", "path")
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """What a network draws, and its sizes.
+    """Target and sizes of a network.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The asymmetric denoiser: a noisy map to logits of the clean one by one encoding and two decoding blocks."""
+"""Asymmetric denoiser: logits of the clean map from a noisy one, by one encoding and two decoding blocks."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Denoiser(nn.Module):
     The paper does not say how the timestep enters. Here: sinusoidal embedding -> two-layer network -> a scale and a
     shift of each channel, after the ResNet block's first batch norm and on the mid layer before its ReLU.
 
-    Its output looks at about 16 map pixels around, so that it cannot agree with itself on one path where the condition
-    leaves several. With `view` a U-Net with attention, which starts silent, adds what the whole map says to the mid
-    layer. The paper has none.
+    Its receptive field is about 16 map pixels, so it cannot decide for one path where the condition allows several.
+    With `view` a U-Net with attention over the whole map, whose output is 0 at first, is added to the mid layer. The
+    paper has none.
 
     Parameters
     ----------

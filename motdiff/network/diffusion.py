@@ -1,4 +1,4 @@
-"""Diffusion: noise hides a trajectory map step by step, and a network that guesses the clean map undoes it.
+"""Diffusion process of trajectory maps: schedules, noising, and samplers (DDPM, DDIM, DPM-Solver++).
 
 Everything is in x0 form. At the last timestep of the cosine schedule ``alpha_bar`` is 2.4e-9, where a guess of x0 is
 still well defined but one of the noise would be divided by 5e-5.
@@ -27,7 +27,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """How much of the signal is left at each timestep.
+    """Noise schedule: share of the signal's power at each timestep.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def q_sample(schedule: Schedule, signal: Tensor, t: Tensor, noise: Tensor) -> Te
 #     sigma = eta sqrt((1 - a') / (1 - a) (1 - a / a')),                  a = alpha_bar[t], a' = alpha_bar[t'],
 # where a method of order 2 extrapolates x0 along log(SNR) with the step before.
 #
-# method     eta     order   what it is
+# method     eta     order   description
 # ddpm       1       1       ancestral sampling with the posterior's variance: Ho et al. 2020, eq. 6-7
 # ddim       0..1    1       Song et al., ICLR 2021, eq. 12 and 16; eta = 0 is deterministic, eta = 1 is ddpm
 # dpm++2m    0       2       DPM-Solver++(2M): Lu et al., arXiv:2211.01095, algorithm 2; its first step is ddim's

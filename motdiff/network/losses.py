@@ -1,4 +1,4 @@
-"""Losses for thin paths: most of a trajectory map is background, so path pixels must weigh more."""
+"""Losses for thin paths: weighted cross-entropy and IoU, plain denoising loss, dwell loss."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The diffusion network: the condition once per photo, the denoiser once per step."""
+"""Diffusion network: a condition computed once per photo, a denoiser run at every step."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class MotDiffNetwork(ConditionNetwork):
     pitch : int
         Map pixels per condition pixel: 4 for HR maps, 1 for PSFs.
     denoiser : Denoiser
-        What runs at every step.
+        Network of every step.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""One quadratic path predicted from the condition at once: Motion-ETR's class of motions, as a baseline."""
+"""Network of the parametric baseline: one quadratic path predicted from the condition (Motion-ETR's class)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What physics says about a photo's blur, as maps on the PSF's 64 x 64 grid: correlations and quick classical kernels.
+"""Physics maps of a photo's blur on the PSF's 64 x 64 grid: correlations, cepstrum, quick classical kernels.
 
 The network sees these maps beside the photo's features (or instead of them): they lie on the same grid as the path.
 """
@@ -158,7 +158,7 @@ def spectral_maps(photos: Tensor) -> Tensor:
     radius2 = fx.square() + fy.square()
     band = torch.exp(-radius2 / (2 * _BAND_SIGMA_CY_PX**2))  # above, noise rules
     white = power * radius2
-    level = white.mean(dim=(-2, -1), keepdim=True).clamp(min=1e-12)  # 0 where a photo is flat, as a burnt-out sky
+    level = white.mean(dim=(-2, -1), keepdim=True).clamp(min=1e-12)  # 0 where a photo is flat, such as a clipped sky
     log_white = torch.log(white / level + 1e-3)
     both = torch.stack([(white * band).mean(dim=1), (log_white * band).mean(dim=1)], dim=1)
     return _scaled(_lags(torch.fft.irfft2(both, s=(height, width))))

@@ -1,4 +1,4 @@
-"""Pyramid Vision Transformer v2: a photo to features at four scales, each seeing more of the photo's motion.
+"""Pyramid Vision Transformer v2: features of a photo at four scales.
 
 Parameters are named as in timm's `pvt_v2_b0` .. `pvt_v2_b5`, so its ImageNet weights load without a map of names.
 Stochastic depth is left out: it has no parameters, and the condition should not change from one call to the next.
@@ -162,7 +162,7 @@ class _Attention(nn.Module):
 
 
 class _FeedForward(nn.Module):
-    """Two linear layers around a depthwise 3x3 convolution, whose zero padding tells each token where it is."""
+    """Two linear layers around a depthwise 3x3 convolution, whose zero padding encodes the position of each token."""
 
     def __init__(self, channels: int, hidden: int) -> None:
         super().__init__()

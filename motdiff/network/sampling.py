@@ -1,4 +1,4 @@
-"""Drawing trajectories from a trained network, and turning their maps into PSFs."""
+"""Sampling of trajectories from a trained network, and conversion of their maps to PSFs."""
 
 from __future__ import annotations
 

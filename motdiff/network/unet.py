@@ -1,7 +1,7 @@
-"""A small U-Net on the PSF's own 64x64 grid: over physics maps of the photo, or over the denoiser's features.
+"""Small U-Net on the PSF's 64x64 grid, over physics maps or over the denoiser's features.
 
-On this grid a place has a meaning of its own (a displacement, a lag): a learned position embedding tells it to every
-pixel, and attention at the coarse levels joins places far apart, as a spectrum's symmetric halves are.
+On this grid the position has a meaning (a displacement, a lag): a learned position embedding gives it to every pixel,
+and attention at the coarse levels joins distant positions, such as the symmetric halves of a spectrum.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class GridUNet(nn.Module):
 
 
 def silence(layer: nn.Module) -> None:
-    """Set a layer's parameters to zero: what it is added to begins unchanged, and the layer still learns."""
+    """Set a layer's parameters to zero: a sum with it is unchanged at first, and the layer still learns."""
     for parameter in layer.parameters():
         nn.init.zeros_(parameter)
 
@@ -121,7 +121,7 @@ def _group_norm(channels: int) -> nn.GroupNorm:
 
 
 def _waves(width: int, side: int) -> Tensor:
-    """Sines and cosines of x and of y, periods 4 to 2 side px, (1, width, side, side): a start that tells places."""
+    """Sines and cosines of x and of y, periods 4 to 2 side px, (1, width, side, side): initial position embedding."""
     freq_cy_px = torch.logspace(math.log2(0.5 / side), math.log2(1 / 4), width // 4, base=2)
     angle = 2 * math.pi * freq_cy_px[:, None] * (torch.arange(side) - (side - 1) / 2)  # (width / 4, side)
     wave = torch.cat([angle.sin(), angle.cos()])  # (width / 2, side)

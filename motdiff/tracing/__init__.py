@@ -3,7 +3,7 @@
 A map or a PSF shows where the camera went, not in which order. :func:`trace_map` and :func:`trace_psf` find the
 smoothest walk that covers what is drawn; :func:`fit_dwell` and :func:`fit_dwell_to_photo` find the time spent along
 it; :func:`simplest_trajectory` prefers a plain arc. Direction stays unknown: a path and its reverse draw the same.
-:func:`is_tangled` tells where the order along it is a guess.
+:func:`is_tangled` is true where the order along it is uncertain.
 """
 
 from motdiff.tracing.dwell import fit_dwell, fit_dwell_to_photo

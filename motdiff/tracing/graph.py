@@ -33,7 +33,7 @@ class Branch:
     optional : bool
         True for a guess across a gap: a trail may use it but need not.
     worth : float, 0..1
-        What a pixel of it counts where a trail leaves it out: little for a faint line among bright ones.
+        Weight of its pixels where a trail leaves them out: small for a faint line among bright ones.
     """
 
     points: FloatArray
@@ -52,7 +52,7 @@ class BranchGraph:
 
 
 def drawn_pixels(hr_map: ArrayLike) -> BoolArray:
-    """Tell which pixels of a binary or soft map belong to the path (hysteresis threshold relative to its maximum).
+    """Mask of the path's pixels in a binary or soft map (hysteresis threshold relative to its maximum).
 
     Raises
     ------
@@ -71,7 +71,7 @@ def drawn_pixels(hr_map: ArrayLike) -> BoolArray:
 
 
 def branch_graph(drawn: BoolArray, *, gap_px: float = 6.0, speck_px: int = 4, spur_px: float = 0.0) -> BranchGraph:
-    """Skeletonise what is drawn, join its parts and split it into branches at ends and crossings.
+    """Skeletonise the drawn pixels, join their parts and split them into branches at ends and crossings.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ def trace_map(hr_map: ArrayLike) -> FloatArray:
     Returns
     -------
     (N, 2) float, px
-        About four points per pixel of length; which end comes first means nothing.
+        About four points per pixel of length; the order of the two ends is arbitrary.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def trace_map(hr_map: ArrayLike) -> FloatArray:
 
     Notes
     -----
-    Where strands share pixels, a binary map does not say how often or in which pairing; the smoothest curve is taken.
+    Where strands share pixels, a binary map does not determine their number or pairing; the smoothest curve is taken.
     """
     soft = np.asarray(hr_map)
     if soft.shape != (MAP_PX, MAP_PX):
@@ -159,12 +159,12 @@ _STEP_PX = 0.25
 
 
 def is_tangled(path: Trajectory) -> bool:
-    """Tell whether a path is so long within its extent, and crosses itself so often, that its order is a guess."""
+    """Whether a path is so long within its extent, and crosses itself so often, that its order is uncertain."""
     return path.length_px > _LENGTH_PER_EXTENT * path.extent_px and crossings(path) > _CROSSINGS
 
 
 def crossings(path: Trajectory) -> int:
-    """Count how often a path crosses itself, looked at in pieces of a quarter of a pixel.
+    """Count the self-crossings of a path, in pieces of a quarter of a pixel.
 
     Strands that touch do not cross, nor do strands that are retraced: within about a pixel of a crossing they part by
     a sine of 0.2 or more.

@@ -1,4 +1,4 @@
-"""Paths that are a quadratic function of time: the best one for a true motion, the limit of its class, or for a PSF."""
+"""Quadratic paths (constant acceleration): the best fit to a trajectory, to its PSF, or to an estimated PSF."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class QuadraticPath:
 def nearest_quadratic(truth: Trajectory) -> QuadraticPath:
     """Quadratic path with the least mean square distance to ``truth`` at equal times; a closed form.
 
-    For coding an exposure, where it matters what the motion does when. Its reverse is the nearest of the reverse.
+    For coded exposure, where the timing of the motion matters. Its reverse is the nearest of the reverse.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def simplest_trajectory(psf: ArrayLike) -> Trajectory:
     Parameters
     ----------
     psf : (H, W) array_like
-        As :func:`motdiff.tracing.trace_psf`, to which what no quadratic path explains is left.
+        As :func:`motdiff.tracing.trace_psf`, which traces a PSF that no quadratic path explains.
     """
     light = np.asarray(psf, dtype=np.float64)
     plain = quadratic_of_psf(light).trajectory()

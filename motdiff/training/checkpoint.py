@@ -1,4 +1,4 @@
-"""A run's exact state on disk, in files small enough to travel, replaced whole or not at all."""
+"""Checkpoints: the exact state of a run in files of at most 15 MiB, replaced atomically."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _HEADER_BYTES = 160  # of a part's header, at most, for each tensor besides its 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a run needs to go on.
+    """State of a run.
 
     Attributes
     ----------

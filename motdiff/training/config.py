@@ -1,4 +1,4 @@
-"""A training run as data: one TOML file, one frozen record; an unknown or wrong entry is an error."""
+"""Configuration of a training run: one TOML file, one frozen record; an unknown or wrong entry is an error."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["DataConfig", "LossConfig", "OptimiserConfig", "TrainingConfig", "rea
 
 @dataclass(frozen=True)
 class DataConfig:
-    """Where the samples come from.
+    """Source of the samples.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class DataConfig:
     validation : int
         Number of validation samples.
     physics_dropout : float
-        Share of physics maps blanked in training, so that the network does not lean on one.
+        Share of physics maps blanked in training, so that the network does not depend on one.
     """
 
     photos: str = ""
@@ -61,7 +61,7 @@ class DataConfig:
 
 @dataclass(frozen=True)
 class LossConfig:
-    """What is minimised.
+    """Loss function.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class LossConfig:
 
 @dataclass(frozen=True)
 class OptimiserConfig:
-    """How it is minimised.
+    """Optimiser.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ class OptimiserConfig:
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """Everything that decides the result of a run.
+    """All settings that determine the result of a run.
 
     Attributes
     ----------

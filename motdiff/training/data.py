@@ -27,7 +27,7 @@ _MOTIONS, _PHOTOS = 1, 2  # one seed for both would give each motion the same sc
 
 @dataclass(frozen=True)
 class Batch:
-    """What one step sees.
+    """Samples of one update.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class LiveSource:
         Sharp photos, on the bank's device.
     photography : Photography
     photo, physics : bool
-        What the network takes.
+        Inputs of the network.
     seed : int
     """
 
@@ -119,7 +119,7 @@ class PreparedSource:
     samples : Samples
         From :func:`motdiff.training.prepared.read_shards`.
     photo, physics : bool
-        What the network takes.
+        Inputs of the network.
     seed : int
     symmetries : bool
         Whether to turn and mirror.

@@ -1,4 +1,4 @@
-"""What a run tells: a line on the terminal, a CSV file, and a plot of loss and validation MNC."""
+"""Log of a training run: terminal line, CSV file, and a plot of loss and validation MNC."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ class RunLog:
         ``log.csv`` and ``progress.png`` go there.
     steps : int
         Steps of the whole run, for the time left.
-    speaks : bool
+    enabled : bool
         False: writes and prints nothing (the other processes of a group).
     """
 
-    def __init__(self, folder: Path, *, steps: int, speaks: bool = True) -> None:
-        self._folder, self._steps, self._speaks = folder, steps, speaks
+    def __init__(self, folder: Path, *, steps: int, enabled: bool = True) -> None:
+        self._folder, self._steps, self._enabled = folder, steps, enabled
         self._began: tuple[int, float] | None = None
         self._last_mnc = math.nan
         self._live = sys.stderr.isatty()
 
     def say(self, text: str) -> None:
         """Print a line."""
-        if self._speaks:
+        if self._enabled:
             print(f"{_cleared(self._live)}{text}", file=sys.stderr, flush=True)  # noqa: T201
 
     def step(self, step: int, losses: Losses, *, batch: int, seconds: float) -> None:
@@ -54,7 +54,7 @@ class RunLog:
         seconds : float
             Time spent over all pieces.
         """
-        if not self._speaks:
+        if not self._enabled:
             return
         if self._began is None:
             self._began = (step, seconds)
@@ -92,7 +92,7 @@ class RunLog:
             if not (last and between):
                 kept.append(line)
                 validated |= last
-        if self._speaks and len(kept) < len(lines):
+        if self._enabled and len(kept) < len(lines):
             write_text(path, "".join(kept))
         return validated
 
@@ -108,7 +108,7 @@ class RunLog:
         loss : float
             Smoothed, of the step.
         """
-        if not self._speaks:
+        if not self._enabled:
             return
         self._last_mnc = score
         self._row([step, math.nan, loss, math.nan, math.nan, math.nan, math.nan, score])
@@ -117,7 +117,7 @@ class RunLog:
 
     def close(self) -> None:
         """End the line on the terminal."""
-        if self._speaks and self._live:
+        if self._enabled and self._live:
             print(file=sys.stderr)  # noqa: T201
 
     def _row(self, values: list[int | float]) -> None:
@@ -148,7 +148,7 @@ class RunLog:
 
 
 def read_log(path: Path | str) -> list[dict[str, float]]:
-    """Rows of a ``log.csv``; what a row does not hold is NaN."""
+    """Rows of a ``log.csv``; missing values are NaN."""
     with Path(path).open(newline="", encoding="utf-8") as file:
         return [{name: float(row[name]) if row[name] else math.nan for name in _FIELDS} for row in csv.DictReader(file)]
 

@@ -1,4 +1,4 @@
-"""The training loop: one update after another, stoppable anywhere, exact after a resume."""
+"""Training loop: updates that can stop anywhere and resume exactly."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _NOISE, _DROPOUT = 3, 4  # seeds of their own, and not the batch's: else a motio
 
 @dataclass(frozen=True)
 class Losses:
-    """What one step reports.
+    """Losses of one update.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Trainer:
 
     @property
     def leads(self) -> bool:
-        """Whether this process writes files and speaks, where several train together."""
+        """Whether this process has rank 0, which writes files and prints."""
         return self._rank == 0
 
     def update(self, source: BatchSource) -> Losses:
@@ -248,7 +248,7 @@ def loss_of(
     physics_dropout : float
         Share of physics maps blanked.
     window : int
-        Side of the part of the 64-px field that is looked at, the same for the whole batch.
+        Side of the used part of the 64-px field, the same for the whole batch.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""A bank of random motions, drawn once and kept as the tensors that training needs: PSFs, HR maps and dwell."""
+"""Bank of random motions as training tensors: PSFs, HR maps and dwell."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _TIMES = 6000
 
 @dataclass(frozen=True)
 class MotionMix:
-    """Which motions are drawn, and how often.
+    """Distribution of random motions.
 
     Attributes
     ----------

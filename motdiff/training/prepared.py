@@ -1,4 +1,4 @@
-"""Samples prepared ahead on a slow machine: simulated and searched once, kept in small files, used many times."""
+"""Prepared training samples: simulated and searched once, stored in small files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def prepare(
     photography: Photography,
     shards: range,
     seed: int,
-    told: Callable[[int], None] = lambda _shard: None,
+    on_shard: Callable[[int], None] = lambda _shard: None,
 ) -> None:
     """Write the missing ones of the ``shards`` (64 samples each); each depends on its number and the seed only.
 
@@ -43,7 +43,7 @@ def prepare(
     shards : range
         Numbers of the files; several processes can share the work by strides.
     seed : int
-    told : callable, optional
+    on_shard : callable, optional
         Called with the number of every finished shard.
     """
     target = Path(folder)
@@ -58,7 +58,7 @@ def prepare(
                     bank, scenes, index, photography=photography, physics=True, seed=seed * 1_000_003 + shard
                 )
             _write(file, samples)
-        told(shard)
+        on_shard(shard)
 
 
 def read_shards(folder: Path | str) -> Samples:

@@ -143,7 +143,7 @@ def train(
     try:
         trainer = Trainer(config, device=device)
         resumed = trainer.resume(place / "checkpoint")
-        log = RunLog(place, steps=config.optimiser.steps, speaks=trainer.leads)
+        log = RunLog(place, steps=config.optimiser.steps, enabled=trainer.leads)
         log.say(f"{'resumed at' if resumed else 'new run, from'} step {trainer.step} of {config.optimiser.steps}")
         sources = make_sources(config, device=device, workers=workers)
 

@@ -1,4 +1,4 @@
-"""Training samples: a simulated photo, what physics says about it, and the motion registered to that."""
+"""Training samples: a simulated photo, its quick classical kernels, and the motion registered to them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Samples", "registration", "shifted", "simulate"]
 
 _KERNEL_BATCH = 8  # on a CPU larger ones fall out of the cache
 _REACH_MAP_PX = 32
-_ALIKE = 0.6  # below, the kernel is lost and says nothing about where the path should lie
+_ALIKE = 0.6  # below, the kernel is wrong and gives no position of the path
 
 
 @dataclass(frozen=True)
@@ -95,8 +95,8 @@ def simulate(
 def registration(kernels: Tensor, dwell: Tensor) -> Tensor:
     """Shift of the motion that lays it on the most alike of its kernels.
 
-    A photo says nothing about where the path lies, so a classical kernel sits a pixel or two off the truth; pixel by
-    pixel losses would punish that.
+    A photo does not determine the position of the path, so a classical kernel is a pixel or two off the truth, which
+    pixel-wise losses would penalise.
 
     Parameters
     ----------

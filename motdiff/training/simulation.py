@@ -1,4 +1,4 @@
-"""Blurred photos for training: batches on the training device, so in torch.
+"""Simulation of blurred training photos, in batches on the training device.
 
 :func:`motdiff.simulate.photograph` takes one photo at a time in numpy; the tests compare the two blurs.
 """
@@ -19,7 +19,7 @@ __all__ = ["Photography", "blurred", "jpeg_loss", "photographed"]
 
 @dataclass(frozen=True)
 class Photography:
-    """How the simulated photos are taken.
+    """Distribution of borders, noise, gamma, exposure and JPEG of the simulated photos.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ def blurred(sharp: Tensor, psfs: Tensor) -> Tensor:
 def photographed(
     sharp: Tensor, psfs: Tensor, *, photography: Photography, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Take the photos of sharp crops that a moving camera would.
+    """Simulate the photos of sharp crops taken by a moving camera.
 
     Parameters
     ----------

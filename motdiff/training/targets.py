@@ -1,4 +1,4 @@
-"""What the baselines learn instead of HR maps: PSFs, or the one quadratic path whose PSF is most alike."""
+"""Training targets of the baselines: PSFs, and quadratic paths with a PSF loss."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def path_psfs(coefficients: Tensor, centre_px: Tensor, *, variance_px2: float) -
 def path_loss(coefficients: Tensor, dwell: Tensor) -> Tensor:
     """One minus the correlation of the paths' PSFs with the true ones, best over shifts; the mean over three blurs.
 
-    A path and its reverse have one PSF: the loss is blind to direction, as the photo is, without a minimum over both.
+    A path and its reverse have the same PSF, so the loss does not depend on the direction.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Trained weights: one small safetensors file that says itself which network it belongs to."""
+"""Trained weights: a safetensors file with the configuration of its network in the header."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def export_weights(
     target : .safetensors file to write
     offset : float
         Taken from the path's logits. A loss that weighs path pixels more makes the network say too often that a pixel
-        is on the path; a sampler that believes it fills in where the path is uncertain.
+        is on the path; sampled with such probabilities, uncertain regions are filled in.
     card : mapping, optional
-        What else should stand in the header: figures, data.
+        Further entries of the header: figures, data.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def export_weights(
 
 
 def _without_folders(config: Mapping[str, object]) -> dict[str, object]:
-    """Put file names in place of paths: where the files lay is nobody's business."""
+    """Replace paths by file names: folders of the training machine are not published."""
     sections = {name: dict(values) if isinstance(values, Mapping) else values for name, values in config.items()}
     for name, entry in _PATHS:
         section = sections.get(name)
@@ -110,7 +110,7 @@ def load_network(
     ----------
     path : weights file
     target : {"map", "psf"}
-        What it must draw.
+        Expected target.
     device : str or torch.device
 
     Raises
@@ -185,7 +185,7 @@ def _loaded(path: Path | str, device: str | torch.device) -> MotDiffNetwork | Pa
 
 
 def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
-    """Read what a weights file says of itself: ``config``, ``card``, and ``run`` (steps, seconds, offset).
+    """Read the header of a weights file: ``config``, ``card``, and ``run`` (steps, seconds, offset).
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What SelfDeblur can be told: sizes of its two generators and the recipe of their fit."""
+"""Settings of SelfDeblur: sizes of its two generators and the recipe of their fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SelfDeblur as an estimator: hours on a CPU, so that it can be stopped and taken up again."""
+"""SelfDeblur as a resumable estimator (hours on a CPU)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from motdiff.baselines.estimate_from_kernel import unjudged_estimate
+from motdiff.baselines.estimate_from_kernel import estimate_from_kernel
 from motdiff.baselines.selfdeblur.config import SelfDeblurConfig
 from motdiff.baselines.selfdeblur.fit import JointFit
 from motdiff.crops import best_crops, textured_luminance
@@ -65,8 +65,8 @@ class SelfDeblurEstimator:
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Fit the kernel of ``photo``, (H, W) or (H, W, 3), linear light 0..1; of a large one, of its best crop.
 
-        Its centroid lies at index 32, to whole pixels. Nothing judges the fit: ``confidence`` is 0. Processor time that
-        was spent before a checkpoint from which the fit went on is told as ``earlier_cpu_s``.
+        Its centroid lies at index 32, to whole pixels. The fit is not scored: ``confidence`` is 0. Processor time
+        before a resumed checkpoint is ``details["earlier_cpu_s"]``.
 
         Raises
         ------
@@ -95,7 +95,7 @@ class SelfDeblurEstimator:
             "kernel_px": self._config.kernel_px,
             "earlier_cpu_s": earlier_s,
         }
-        estimate = unjudged_estimate("selfdeblur", fit.kernel().double().numpy(), details)
+        estimate = estimate_from_kernel("selfdeblur", fit.kernel().double().numpy(), details)
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
         return estimate
@@ -110,7 +110,7 @@ class SelfDeblurEstimator:
 
 
 def _code_version() -> str:
-    """Fingerprint of what fits: half a fit by one code and half by another would be neither's."""
+    """Fingerprint of the source code of the fit: a checkpoint is resumed by the same code only."""
     what = hashlib.sha256(torch.__version__.encode())
     for path in _FITTING:
         what.update(path.read_bytes())

@@ -1,4 +1,4 @@
-"""The joint fit of both generators to one photo, whose exact state can be put down and taken up again."""
+"""Joint fit of both generators to one photo, resumable from its exact state."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class JointFit:
         write_checkpoint(folder, Checkpoint(self.iteration, tensors, asdict(self._config), cpu_s))
 
     def resume(self, folder: Path | str) -> float | None:
-        """Take up the state of ``folder``: what follows is what would have followed there.
+        """Resume from the state of ``folder``; the result is that of an uninterrupted fit.
 
         Returns
         -------

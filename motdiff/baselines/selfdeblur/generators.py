@@ -1,4 +1,4 @@
-"""The two generators: what they cannot easily say is the prior, so their shapes matter and no weights are trained."""
+"""Untrained generators of photo and kernel: their architecture is the prior (deep image prior)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FIRST_NON_LOCAL = 2  # level
 class ImageGenerator(nn.Module):
     """Encoder-decoder with narrow skips: from noise to a photo within 0..1.
 
-    A sharp photo is met by such a network long before noise is, or a photo blurred with the kernel's inverse.
+    Such a network fits a sharp photo sooner than noise, or than a photo blurred with the kernel's inverse.
 
     Parameters
     ----------

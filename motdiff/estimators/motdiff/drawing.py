@@ -1,4 +1,4 @@
-"""From crops of a photo to PSFs drawn by the network: each draw sees the photo turned or mirrored another way."""
+"""Sampling of PSFs by the network from crops of a photo, over the eight symmetries of the square."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from motdiff.network.sampling import sample_paths
 from motdiff.network.symmetry import inverse_symmetry, mirrored
 from motdiff.threads import side_by_side
 
-__all__ = ["draw_psfs", "searched_quickly"]
+__all__ = ["draw_psfs", "quick_search"]
 
 FloatArray = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ _SYMMETRIES = 8  # of the square
 def draw_psfs(
     network: MotDiffNetwork,
     crops: FloatArray,
-    told: FloatArray,
+    classical: FloatArray,
     *,
     count: int,
     steps: int,
@@ -42,8 +42,8 @@ def draw_psfs(
     network : MotDiffNetwork
         In eval mode, on the CPU.
     crops : (C, H, W) float, grey, linear light
-    told : (Q, 64, 64) float
-        Classical kernels for the physics maps; not looked at by a network without them.
+    classical : (Q, 64, 64) float
+        Classical kernels for the physics maps; unused by a network without them.
     count : int
         Number of draws, spread over the eight symmetries of the square: a network's errors differ between them.
     steps : int
@@ -55,7 +55,7 @@ def draw_psfs(
     light = torch.from_numpy(crops.astype(np.float32))[None]
     physics: Tensor | None = None
     if network.physics is not None:
-        physics = physics_maps(light, torch.from_numpy(told.astype(np.float32))[None])
+        physics = physics_maps(light, torch.from_numpy(classical.astype(np.float32))[None])
     photo = None if network.photo is None else _photo(light)
     turns = range(min(_SYMMETRIES, count))
     seeds = torch.randint(2**62, (len(turns),), generator=generator).tolist()
@@ -100,7 +100,7 @@ def _drawn(
     return mirrored(paths.psfs(), inverse_symmetry(symmetry), pitch=1)[0]
 
 
-def searched_quickly(crops: FloatArray, *, sigma: float) -> FloatArray:
+def quick_search(crops: FloatArray, *, sigma: float) -> FloatArray:
     """Run the quick searches on crops (C, H, W) with noise ``sigma`` side by side, to kernels (Q, 64, 64), sum 1."""
     light = torch.from_numpy(crops.astype(np.float32))[None]
     jobs = [partial(quick_kernels, light, sigma=sigma, starts=(start,)) for start in QUICK_STARTS]

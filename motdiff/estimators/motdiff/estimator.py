@@ -1,4 +1,4 @@
-"""The estimator: draws from the network, the photo's own verdict on them, refinement, and an honest confidence."""
+"""MoTDiff estimator: samples of the network, kernel scores, refinement, and a calibrated confidence."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from motdiff.estimators.base import SMALLEST_PX, MotionEstimate
 from motdiff.estimators.kernel_score import Judge, candidate_probabilities, noise_sigma
-from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
+from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
 from motdiff.estimators.multiscale import Found, estimate_blind
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, planned, refined
@@ -40,9 +40,9 @@ _TOLD_OF_ALL, _TOLD_OF_TWO = (2, 0, 1), (1, 0, 1)
 class MotDiffEstimator:
     """Blind estimator with the conditional diffusion model MoTDiff.
 
-    Classical searches give kernels; the network, told of up to three of them, draws several motions; the photo judges
-    all (see :mod:`motdiff.estimators.kernel_score`), and the most likely ones are refined on it at full resolution. So
-    a classical kernel is the result wherever the photo believes it more.
+    Classical searches give kernels. The network, conditioned on up to three of them, samples several motions. All are
+    scored on the photo (:mod:`motdiff.estimators.kernel_score`), and the most likely ones are refined at full
+    resolution. The result is a classical kernel wherever that has the higher score.
 
     Parameters
     ----------
@@ -106,11 +106,11 @@ class MotDiffEstimator:
         after = _JUDGE_COST + _REFINE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0) + _TRACE_COST
         self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
         judge = Judge(crops)
-        classical, told = self._classical(crops, judge.sigma)
+        classical, conditions = self._classical(crops, judge.sigma)
         drawn = draw_psfs(
             self._network,
             crops,
-            told,
+            conditions,
             count=self._samples,
             steps=self._steps,
             generator=torch.Generator().manual_seed(self._seed),
@@ -149,9 +149,9 @@ class MotDiffEstimator:
         )
 
     def _classical(self, crops: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
-        """Search classical kernels (Q, 64, 64), and those of them that the network is told of (3, 64, 64)."""
+        """Search classical kernels (Q, 64, 64), and select those that condition the network (3, 64, 64)."""
         if not self._thorough:
-            quick = searched_quickly(crops, sigma=sigma)
+            quick = quick_search(crops, sigma=sigma)
             return quick, quick
         found = PmpEstimator().kernels(crops, progress=self._progress)
         framed = np.stack([in_frame(kernel) for kernel in found])
@@ -182,6 +182,6 @@ def _searched_alone(crop: FloatArray) -> FloatArray:
 
 
 def _agreement(psfs: FloatArray) -> float:
-    """Mean MNC of the samples with their mean: 1 where the network is sure."""
+    """Mean MNC of the samples with their mean: 1 where all are alike."""
     mean = psfs.mean(axis=0)
     return float(np.mean([mnc_subpixel(psf, mean) for psf in psfs]))

@@ -1,4 +1,4 @@
-"""Blind estimation of the motion in a photo of any size: several starts, one choice, an honest confidence."""
+"""PMP estimator for photos of any size: several starts, kernel scores, and a calibrated confidence."""
 
 from __future__ import annotations
 

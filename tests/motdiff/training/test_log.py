@@ -92,7 +92,7 @@ def test_steps_done_twice_after_a_kill_are_drawn_once(tmp_path, monkeypatch):
 
 
 def test_the_other_processes_of_a_group_are_silent(tmp_path, capsys):
-    log = RunLog(tmp_path, steps=100, speaks=False)
+    log = RunLog(tmp_path, steps=100, enabled=False)
     steps(log, range(1, 101))
     log.say("hello")
     log.validated(100, 0.5, loss=1.0)

@@ -90,7 +90,7 @@ def test_the_missing_shard_alone_is_written_as_by_a_fresh_run(complete, tmp_path
     first = folder / "shard_00000.npz"
     first.write_bytes(b"as it was")
     told = []
-    write(folder, scenes, range(2), told=told.append)
+    write(folder, scenes, range(2), on_shard=told.append)
     assert told == [0, 1]
     assert first.read_bytes() == b"as it was"
     assert sorted(path.name for path in folder.iterdir()) == ["shard_00000.npz", "shard_00001.npz"]

@@ -5,7 +5,7 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity as reference_similarity
 
-from motdiff.baselines.estimate_from_kernel import unjudged_estimate
+from motdiff.baselines.estimate_from_kernel import estimate_from_kernel
 from motdiff.baselines.selfdeblur import SelfDeblurConfig
 from motdiff.baselines.selfdeblur.fit import structural_similarity
 from motdiff.baselines.selfdeblur.generators import ImageGenerator, KernelGenerator, _NonLocal
@@ -109,7 +109,7 @@ def test_rates_are_halved_at_each_milestone():
 @pytest.mark.parametrize(("pads", "frame"), [(((0, 40), (31, 9)), 64), (((0, 0), (0, 0)), 64), (((3, 0), (90, 2)), 64)])
 def test_an_unjudged_kernel_is_centred_wherever_it_lay(pads, frame):
     truth = Trajectory.straight(12.0, angle_rad=0.5).psf(23)
-    estimate = unjudged_estimate("some", np.pad(7 * truth, pads), {"a": 1})
+    estimate = estimate_from_kernel("some", np.pad(7 * truth, pads), {"a": 1})
     assert (estimate.method, estimate.confidence, estimate.details) == ("some", 0.0, {"a": 1})
     assert estimate.psf.shape == (frame, frame)
     assert estimate.psf.sum() == pytest.approx(1)
@@ -124,6 +124,6 @@ def test_an_unjudged_kernel_loses_its_dust_and_no_long_arm():
     kernel = np.full((99, 99), 1e-5)
     kernel[50, 2:95] = 1.0
     kernel[50, 2:40] = 4.0  # the centroid, column 33, lies off the middle: the frame grows
-    psf = unjudged_estimate("some", kernel, {}).psf
+    psf = estimate_from_kernel("some", kernel, {}).psf
     assert (psf > 0).sum() == 93
     assert psf.shape == (2 * (94 - 33 + 1),) * 2

@@ -9,7 +9,7 @@ import torch
 from motdiff.estimators.kernel_score import noise_sigma
 from motdiff.estimators.motdiff import MotDiffEstimator, drawing
 from motdiff.estimators.motdiff import estimator as module
-from motdiff.estimators.motdiff.drawing import draw_psfs, searched_quickly
+from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
 from motdiff.estimators.multiscale import Found
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, Start, planned
@@ -264,7 +264,7 @@ def test_physics_maps_turn_with_the_photo():
 
 
 def test_the_quick_searches_share_the_crops_and_their_noise(no_search):
-    found = searched_quickly(np.random.default_rng(0).random((3, 80, 90)), sigma=0.02)
+    found = quick_search(np.random.default_rng(0).random((3, 80, 90)), sigma=0.02)
     assert found.shape == (3, 64, 64)
     assert sorted(no_search, key=lambda call: call[2][0].size) == [
         ((1, 3, 80, 90), 0.02, (start,), CLOSED) for start in sorted(QUICK_STARTS, key=lambda start: start.size)
