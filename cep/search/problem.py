@@ -59,7 +59,8 @@ class SearchProblem:
 
     Examples
     --------
-    >>> problem = SearchProblem.along(Trajectory.straight(20.0), chips=20, open_range=(8, 12), min_open=2)
+    >>> path, runs = Trajectory.straight(20.0), RunLimits(min_open=2)
+    >>> problem = SearchProblem.along(path, chips=20, open_range=(8, 12), runs=runs)
     >>> problem.satisfied(np.array([[1, 1] * 5 + [0] * 10, [1, 0] * 10])).tolist()
     [True, False]
     """
