@@ -27,7 +27,7 @@ SHORTEST_PX = 1.0
 def dnf_problem(
     length_px: float, chips: int, *, open_range: tuple[int, int] | None = None, runs: RunLimits | None = None
 ) -> SearchProblem:
-    """Say what DNF searches for; see :func:`dnf_search`, whose parameters these are."""
+    """Search problem of DNF; parameters as of :func:`dnf_search`."""
     if not (np.isfinite(length_px) and length_px >= 0):
         raise ValueError(f"length_px: must be 0 or more, got {length_px}")
     straight = Trajectory.straight(max(SHORTEST_PX, float(length_px)))
@@ -47,7 +47,7 @@ def dnf_search(
     runs: RunLimits | None = None,
     threads: int | None = None,
 ) -> SearchResult:
-    """Search the code as ours is searched, with the same budget, but knowing nothing of the motion but its length.
+    """Search DNF's code with the project's search, for a straight motion of the given length.
 
     Parameters
     ----------

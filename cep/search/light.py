@@ -1,4 +1,4 @@
-"""Codes that gather light without a search of chips: the best snapshot, the best strobe, and random codes.
+"""Codes without a search over chips: the best snapshot, the best strobe, and random codes.
 
 They are judged by a problem's own objective. The random ones keep its limits, the others where they are told to.
 """

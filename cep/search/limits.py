@@ -151,7 +151,7 @@ class Limits:
 
     @property
     def period(self) -> int:
-        """Fewest chips from the start of one pulse to the start of the next, whichever limit says so."""
+        """Fewest chips from the start of one pulse to the start of the next, by all limits."""
         return max(self.runs.min_period, self.runs.min_open + self.runs.min_closed)
 
     @property
@@ -161,7 +161,7 @@ class Limits:
 
     @property
     def counts_opens(self) -> bool:
-        """Whether ``open_range`` says anything that the other limits do not."""
+        """Whether ``open_range`` excludes codes that the other limits allow."""
         return self.open_range[0] > self.runs.min_open or self.open_range[1] < self.chips
 
     @property

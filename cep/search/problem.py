@@ -1,4 +1,4 @@
-"""What to search for: motions, number of chips, light, objective, direction rule and the shutter's limits."""
+"""Search problem: motions, number of chips, light, objective, direction rule and the shutter's limits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DirectionRule = Literal["auto", "unknown", "forward"]
 
 @dataclass(frozen=True, kw_only=True)
 class SearchProblem:
-    """A search for a shutter code.
+    """Problem of a search for a shutter code.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class SearchProblem:
     open_range : (int, int), optional
         Fewest and most open chips; any number when omitted.
     objective : {"min-mtf", "flatness", "noise", "mse"} or tuple of (name, weight)
-        What to improve; a mix adds the objectives' decibels. See :mod:`cep.search.objective`.
+        Objective; a mix adds the objectives' decibels. See :mod:`cep.search.objective`.
     direction : {"auto", "unknown", "forward"}
         Unknown: the worse of both directions counts. Forward: only the one given. Auto: as each trajectory says.
     rule : {"worst", "mean"}
@@ -117,7 +117,7 @@ class SearchProblem:
 
     @property
     def limits_runs(self) -> bool:
-        """Whether runs, pulses or their period are limited, so that single flips and swaps seldom lead anywhere."""
+        """Whether runs, pulses or their period are limited, so that few single flips and swaps are allowed."""
         return not self.runs.says_nothing
 
     @property
@@ -127,7 +127,7 @@ class SearchProblem:
 
     @property
     def limits(self) -> Limits:
-        """Everything that a code must keep."""
+        """All limits of a code."""
         low, high = self.open_range or (1, self.chips)
         return Limits(self.chips, (low, high), self.runs)
 

@@ -1,4 +1,4 @@
-"""Random codes within limits, every one of them equally likely; and how many there are.
+"""Uniform random codes within limits, and the number of such codes.
 
 Without forced chips the codes of k open chips in p pulses are pairs of compositions (k into p runs, the rest into p + 1
 gaps), a closed form. Forced chips, a longest run and a least period need dynamic programming over the walks of

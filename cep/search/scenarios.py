@@ -1,6 +1,6 @@
-"""What may happen instead of the one motion on time: other motions, other speeds, drifting and jittering chips.
+"""Scenarios of a search: alternative motions, other speeds, drifting and jittering chip edges.
 
-Each function varies every one of the scenarios it is given and shares their weight out, so they cross by being nested:
+Each function varies all given scenarios and divides their weight, so nested calls combine the variations:
 ``jittered(speed_range(alternatives(motion), 0.9, 1.1, 3), chips, 0.05, 4, rng=rng)``.
 """
 
@@ -40,7 +40,7 @@ _FARTHEST_EDGE = 0.45  # of the shorter chip beside it
 
 @dataclass(frozen=True)
 class Scenario:
-    """A motion that may happen, with its weight, and when the chips are played along it.
+    """A possible motion with its weight and the timing of the chips along it.
 
     Parameters
     ----------

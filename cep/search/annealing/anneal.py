@@ -1,4 +1,4 @@
-"""Search of a code: rounds of annealing chains on all cores, longer from round to round, then a polish."""
+"""Annealing search of a code: rounds of chains on all cores, each longer than the last, then a polish."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ __all__ = [
 
 Codes = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
-_SEARCH_OVERSAMPLING = 8  # coarse: the polish judges on 64 and the continuum
+_SEARCH_OVERSAMPLING = 8  # coarse: the polish uses 64 and the continuum
 _HOT_DB = {"min-mtf": 0.8, "noise": 0.3, "flatness": 0.1, "mse": 0.1}  # docs/decisions/search.md
 _HOT_CHIPS, _HOTTEST = 52, 4.0  # these temperatures are for so many chips; fewer are at most so much hotter
 COOLING = 3.0  # hottest over coldest
 _WALKS_STRAIGHT, _WALKS_OTHERS = 6, 2  # chains of later rounds that walk instead
-_SHORT = 64  # chips to which walks are worth more than cooling on straight motion
-MOST_SWAPS = 2**12  # of a code whose every neighbour is worth a look in each step: to 128 chips
+_SHORT = 64  # chips up to which walks find better codes than cooling on straight motion
+MOST_SWAPS = 2**12  # chips up to which every neighbour is evaluated in each step
 REHEATED = 0.6
 _ELITES = 32
 _POOL = 8  # of the best, from which walks start
@@ -52,7 +52,7 @@ MOVES_SHARE = 0.9  # of the fraction done that is told: the rest is the polish
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What a search found.
+    """Result of a search.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ def anneal(
     start : iterable of ShutterCode
         Codes to start from besides random ones, such as published ones; those that break a limit are left out.
     progress : callable, optional
-        Called now and then with the fraction done, 0..1, and the best code so far. It may raise KeyboardInterrupt.
+        Called repeatedly with the fraction done, 0..1, and the best code so far. It may raise KeyboardInterrupt.
     threads : int, optional
         As many as there are cores when omitted; the outcome does not depend on it.
     judge : Objective, optional
@@ -182,7 +182,7 @@ def anneal(
 
 
 def standard_moves(problem: SearchProblem) -> int:
-    """Say after how many moves more rarely find a better code."""
+    """Return the number of moves after which further ones rarely find a better code."""
     columns = sample_count(problem, oversampling=_SEARCH_OVERSAMPLING)
     return int(np.clip(_STANDARD_WORK // columns, 2**20, 2**25))
 
@@ -266,18 +266,18 @@ class Budget:
         return self.elapsed() < self.time_s and (self.steps is None or self.done < self.steps)
 
     def chain(self, round_number: int) -> int:
-        """Say how many moves each chain of a round makes."""
+        """Return the number of moves of each chain of a round."""
         wanted: int = min(_SHORTEST << round_number, _LONGEST)
         if self.steps is not None:
             return min(wanted, -(-(self.steps - self.done) // CHAINS))
         if not self.done:
             return wanted
-        # a chain that the clock cuts off has cooled for nothing
+        # a chain cut off by the time limit is wasted
         affordable = self.done / max(self.elapsed(), 1e-3) * (self.time_s - self.elapsed()) / CHAINS
         return max(256, int(min(wanted, 0.95 * affordable)))
 
     def stopped(self) -> Stopped:
-        """Say what has used it up: the moves, where they and the time ran out together."""
+        """Return the exhausted limit: the moves, where they and the time ran out together."""
         return "steps" if self.steps is not None and self.done >= self.steps else "time"
 
     def polished(

@@ -1,6 +1,6 @@
-"""Chains of the search side by side: each cools once, or walks again and again, on its own thread.
+"""Parallel chains of the search: simulated annealing and tabu walks, compiled, each on its own thread.
 
-Where a move is judged only as far as it can still beat the best one seen in the step, most are refused early.
+The cost of a move is summed only as far as it can still beat the best one of the step: most are refused early.
 
 References
 ----------
@@ -44,7 +44,7 @@ Codes = NDArray[np.int8]
 _COOL_SLICE, _WALK_SLICE = 4096, 16  # moves and steps until the OTF is summed anew and its frequencies sorted
 _TICK_S = 0.1  # between two looks of the caller
 _PATIENCE = 32  # steps without a better code before a walk ends
-_KEPT = 64  # walks of a chain whose ends are offered: another objective may judge them
+_KEPT = 64  # walks of a chain whose ends are offered: an exact objective ranks them
 _KICK = (3, 9)  # swaps that start a walk from one of the best
 _FRESH = 0.8  # share of walks that start from a random code: docs/decisions/search.md
 

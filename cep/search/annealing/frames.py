@@ -1,6 +1,6 @@
-"""Codes of several exposures of one scene, searched together: where one of them is blind, another one sees.
+"""Joint search of the codes of several exposures of one scene, whose spectra complement each other.
 
-What is searched is in :mod:`cep.search.annealing.joint`.
+The joint cost is in :mod:`cep.search.annealing.joint`.
 
 References
 ----------
@@ -40,7 +40,7 @@ _ELITES = 16
 
 @dataclass(frozen=True)
 class FramesResult:
-    """What a joint search found.
+    """Result of a joint search.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Frames of one scene restored together: cost, figures and polish of their codes.
+"""Joint restoration of several frames of one scene: cost, figures and polish of their codes.
 
 Frames taken along the same motion, each with its own code, are restored jointly: the inverse sees the sum of their
 |H|^2, so all that a single code does with |H| they do with the root of that sum. Their common noise gain is
@@ -35,7 +35,7 @@ _ZERO_POWER = 1e-24  # smaller is rounding
 
 
 class JointFigures(NamedTuple):
-    """What frames are worth together, light-true, the worst over a problem's scenarios and directions.
+    """Figures of frames restored together, light-true, the worst over a problem's scenarios and directions.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The end of a search: the best codes judged on the continuum, and climbed from over all single flips and swaps."""
+"""Polish of a search's best codes: costs over the continuum, and local search over all single flips and swaps."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ __all__ = ["Polished", "cheapest", "neighbours", "otf_nearby", "polish"]
 
 
 Codes = NDArray[np.int8]
-_HOPEFUL = 8  # neighbours judged on the continuum in a step
+_HOPEFUL = 8  # neighbours evaluated on the continuum in a step
 _MOST_WORK = 2**39  # numbers times chips of a step; beyond, as for very long codes, swaps are left out
 
 
 class Polished(NamedTuple):
-    """How far a polish has come.
+    """State of a polish.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Polished(NamedTuple):
 
 
 def polish(fine: Objective, ranked: Codes) -> Iterator[Polished]:
-    """Judge (R, n) codes, best first, on the continuum by the finest samples, and climb from the leaders.
+    """Evaluate (R, n) codes, best first, on the continuum, and climb from the leaders.
 
     Yields
     ------
@@ -102,7 +102,7 @@ def neighbours(problem: SearchProblem, bits: Codes, *, swaps: bool) -> Codes:
 Indices = NDArray[np.intp]
 RealArray = NDArray[Any]
 _BATCH = 2**18  # numbers of an OTF evaluated at once: they stay in the cache
-_SPARSE = 8  # one frequency in so many already refuses nearly every code
+_SPARSE = 8  # one frequency in so many suffices to reject nearly every code
 
 
 def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) -> RealArray:

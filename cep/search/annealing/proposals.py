@@ -1,4 +1,4 @@
-"""Moves of the annealer, compiled: a flip, a swap, or under run limits a block that is flipped or put elsewhere."""
+"""Proposals of the annealer, compiled: flips, swaps, and under run limits blocks that are flipped or moved."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Limits(NamedTuple):
     min_open, min_closed, max_pulses, max_open, min_period : int
         Of every frame.
     constrained : bool
-        Whether any of these five says something.
+        Whether any of these five is a limit.
     """
 
     chips: int
@@ -76,7 +76,7 @@ def draw_any(code: Codes, free: Ints, limits: Any, opened: int, random: Random, 
 def draw_blocks(
     code: Codes, may_change: NDArray[np.bool_], limits: Any, opened: int, random: Random, trial: Codes, changed: Ints
 ) -> int:
-    """Draw a move that keeps run limits: swap two chips, flip a block, or cut a block out and put it elsewhere."""
+    """Draw a move that keeps run limits: swap two chips, flip a block, or move a block."""
     chips = limits.chips
     longest = min(chips, max(limits.min_open + 1, limits.min_closed + 1, limits.min_period))
     for _ in range(_TRIES):

@@ -1,4 +1,4 @@
-"""State of a compiled chain: its OTF summed anew, its frequencies sorted, its cost and smallest |P|."""
+"""State of a compiled chain: code, OTF, sorted frequencies, cost and smallest |P|."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Chain(NamedTuple):
 
 @compiled
 def fresh_otf(tables: Any, code: NDArray[np.int8], chips: int, otf: Floats) -> None:
-    """Sum a code's OTF anew: float32 sums drift."""
+    """Recompute a code's OTF: float32 sums drift."""
     otf[:] = 0
     variants = tables.rows.shape[1]
     for j in range(len(code)):

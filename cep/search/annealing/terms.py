@@ -1,4 +1,4 @@
-"""What the compiled loops judge a move by: sums over frequencies, changed by one row of the chip basis per chip.
+"""Cost terms of the compiled loops: sums over frequencies, updated by one row of the chip basis per changed chip.
 
 A code's cost is made of sums over frequencies of terms that are never negative, so a move is refused as soon as the
 terms seen exceed what would be accepted. Frequencies come in blocks of 64, the worst ones first.
@@ -44,7 +44,7 @@ SMALLEST = np.float32(1e-8)  # of |P|^2: a chip has |P| of about 1
 
 
 class Tables(NamedTuple):
-    """A problem as the loop reads it; nb blocks of frequencies, those of one part side by side.
+    """Tables of a problem for the compiled loops; nb blocks of frequencies, those of one part side by side.
 
     Attributes
     ----------
@@ -221,7 +221,7 @@ def decibels(tables: Any, sums: NDArray[np.float64], opened: int) -> float:
 
 @inlined
 def alone(tables: Any) -> bool:
-    """Whether one sum over frequencies decides: a look at a move may then end early."""
+    """Whether one sum over frequencies decides: the evaluation of a move may then end early."""
     return len(tables.kinds) == 1 and tables.kinds[0] != FLATNESS and not tables.mean_rule
 
 
@@ -314,7 +314,7 @@ def limits_of(problem: SearchProblem) -> Limits:
 
 
 def lay_out(objective: Objective) -> Tables:
-    """Pack each part's columns into blocks, with what each objective makes of them."""
+    """Pack each part's columns into blocks, with the tables of each objective."""
     problem = objective.problem
     columns: list[NDArray[np.intp]] = []
     layout: list[tuple[int, int, int]] = []

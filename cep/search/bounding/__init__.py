@@ -1,1 +1,1 @@
-"""What no code can exceed."""
+"""Bounds over all codes of a problem."""

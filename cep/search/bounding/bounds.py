@@ -1,4 +1,4 @@
-r"""What no code can exceed: the smallest |H|, the smallest |P|, and how little noise a restoration can have.
+r"""Bounds over all codes: upper bounds of the smallest |H| and |P|, and lower bounds of the noise gain.
 
 Each figure is the best of several arguments, which :mod:`cep.search.bounding.motion_basis` and
 :mod:`cep.search.bounding.relaxation` prove; the relaxation only supplies multipliers. Every bound holds for each
@@ -45,9 +45,9 @@ class Bound:
         No code's ``10 log10 mean 1/|H|^2`` lies below it, worst scenario and direction; light-true. The mean is that of
         :func:`cep.proofs.measure.measure`; on the unit circle it is the one over the whole circle.
     method : dict of str to str
-        The argument that won for each of the three.
+        The argument with the best bound for each of the three.
     proofs : tuple of DualProof
-        Of what the relaxation won, one for each number of open chips that it bounds better than the rest.
+        Of the relaxation, one for each number of open chips that it bounds better than the other arguments.
     """
 
     min_mtf: float
@@ -58,13 +58,13 @@ class Bound:
 
 
 def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") -> Bound:
-    """Bound what any code of ``problem`` can reach.
+    """Bound the figures of all codes of ``problem``.
 
     Parameters
     ----------
     problem : SearchProblem
     effort : {"quick", "sdp"}
-        Quick takes milliseconds to a second. "sdp" relaxes what the objective asks for: the smallest |H| along motions
+        Quick takes milliseconds to a second. "sdp" relaxes the objective: the smallest |H| along motions
         for "min-mtf", in seconds, and the mean of 1/|H|^2 for "noise", up to a minute on a curved path.
 
     Raises

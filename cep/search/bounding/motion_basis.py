@@ -1,4 +1,4 @@
-r"""Bounds in closed form or from one eigenvalue, in milliseconds: of |P| on the circle, |H| along a motion, and noise.
+r"""Quick bounds, in closed form or from one eigenvalue: of |P| on the circle, |H| along a motion, and noise.
 
 ====================== =============================================================================================
 random-code            ``min |P|^2 <= k (n - k) / (n - 1)``: the mean of |P|^2 over the n-th roots of unity except 1.
@@ -146,7 +146,7 @@ def _gram_ceilings(part: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
 
 
 def _uniform_ceilings(part: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
-    """Find closed forms where a straight uniform motion's band covers the circle, so that every |P| is seen."""
+    """Find closed forms where a straight uniform motion's band covers the whole circle of |P|."""
     if part.motion is None or part.edges is not None or uniform_length_px(part.motion) is None:
         return {}
     chips = len(part.basis)

@@ -1,4 +1,4 @@
-"""From a relaxation to proofs: which frequencies it needs, and what its multipliers prove for every amount of light."""
+"""Proofs from a relaxation: choice of frequencies, and bounds from its multipliers for all numbers of open chips."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def tightened(
     """Improve known bounds, (K,), one for each number of open chips, where the relaxation does.
 
     The number of open chips with the weakest bound is relaxed, its multipliers are tried on all others, and so on until
-    the weakest has been relaxed. Where no solver finds an optimum, what is known stays.
+    the weakest has been relaxed. Where no solver finds an optimum, the known bounds stay.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def tightened(
     -------
     bounds : (K,) float
     proofs : list of DualProof
-        Of those that were improved.
+        Of the improved bounds.
     """
     best, proofs, tried = known.copy(), dict[int, DualProof](), set[int]()
     sign = 1.0 if quantity == "min" else -1.0

@@ -1,4 +1,4 @@
-"""A semidefinite relaxation of the search: its value bounds every code, and its solution suggests codes.
+"""Semidefinite relaxation of the search: its value bounds every code, and its solution suggests codes.
 
 The products ``C = c c'`` of all codes with k ones are relaxed to symmetric ``C >= 0`` with ``tr C = k`` and
 ``C 1 = k diag C``, which imply the lifted ``[[1, c'], [c, C]] >= 0`` with ``c = diag C``. The dual problem is solved,
@@ -88,7 +88,7 @@ class Relaxation:
     products : (n, n) float
         C, trace ``open_chips``.
     status : str
-        "optimal", or what the solver said instead.
+        "optimal", or another status of the solver.
     solver : str
     """
 
@@ -119,7 +119,7 @@ def relax(
     Raises
     ------
     ValueError
-        If no solver ends as "optimal"; the line says what each said.
+        If no solver ends as "optimal"; the line has the status of each.
     """
     said = []
     scale = float((columns**2).sum(axis=(0, 2)).mean())
@@ -303,7 +303,7 @@ _ROUNDING = 1e-11  # of a basis, a Gram matrix and its eigenvalues, relative to 
 
 @dataclass(frozen=True)
 class DualProof:
-    """A bound over all codes of one light, with all that is needed to find it again.
+    """A bound over all codes of one number of open chips, with all data to recompute it.
 
     Attributes
     ----------
@@ -342,7 +342,7 @@ class DualProof:
     bound: float
 
     def check(self) -> bool:
-        """Whether the bound holds, found again from the motions: other code for the basis, Cholesky for the eigenvalue.
+        """Whether the bound holds, recomputed from the motions: other code for the basis, Cholesky for the eigenvalue.
 
         A matrix whose Cholesky factor exists in floating point is positive definite up to rounding, which the bound has
         room for.
@@ -389,7 +389,7 @@ def gram(basis: ComplexArray, weights: FloatArray) -> FloatArray:
 
 
 def form_matrix(matrix: FloatArray, multipliers: FloatArray, open_chips: int) -> FloatArray:
-    """Add what vanishes on codes: ``A = G + (v 1' + 1 v') / 2 - k diag(v)``."""
+    """Add terms that vanish on codes: ``A = G + (v 1' + 1 v') / 2 - k diag(v)``."""
     return matrix + 0.5 * (multipliers[:, None] + multipliers) - open_chips * np.diag(multipliers)
 
 

@@ -1,1 +1,1 @@
-"""Every code counted out, and the best one proven."""
+"""Exhaustive search with a proof of optimality."""

@@ -1,4 +1,4 @@
-"""How codes are cut into blocks for :mod:`cep.search.exhaustive.exhaust`, and the tables that it reads."""
+"""Blocks and tables of the exhaustive scan (:mod:`cep.search.exhaustive.exhaust`)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _CANDIDATES = 768  # frequencies that the scan looks at; the caller looks at the
 
 
 class Tables:
-    """What depends on the limit alone: which frequencies are tried, in which order, and what they leave.
+    """Tables that depend on the limit alone: frequencies in order of trial, and the patterns that they leave.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ class Scanner:
         yield from pairwise(edges)
 
     def buffer(self) -> NDArray[np.uint64]:
-        """Room for what a call of :meth:`run` finds."""
+        """Buffer for the codes found by a call of :meth:`run`."""
         return np.zeros(2 * self.near.bits.size * self.inner_bits.size, dtype=np.uint64)
 
     def run(

@@ -1,4 +1,4 @@
-"""Proven optimum: every code is judged, or left out at a frequency where its |H| is below the best code's minimum.
+"""Proven optimum by exhaustive search: a code is discarded at a frequency where its |H| is below the best minimum.
 
 On the unit circle a shift in time and the reversal change nothing, so the codes of n chips are those of every length
 up to n with both end chips open, one of each mirror pair, or both where the reversal may break the limit on the
@@ -51,7 +51,7 @@ _DARK = 1e-9  # |H| at which no code passes anything
 
 
 def codes_to_count(problem: SearchProblem) -> int:
-    """Say how many codes a proof goes through, mirror images mostly once; a core does billions a second."""
+    """Count the codes that a proof goes through, mirror images mostly once; a core does billions a second."""
     if problem.scenarios or problem.runs.fixed is not None:
         return int(2**problem.chips)
     return int(2 ** max(problem.chips - 1 - problem.mirrors, 0))
@@ -72,7 +72,7 @@ def exact(
         Objective "min-mtf". Without scenarios the minimum is over the whole unit circle; with them it is the smallest
         at their band samples, in every direction that counts.
     progress : callable, optional
-        Called now and then with the fraction done, 0..1, and the best code so far. It may raise KeyboardInterrupt.
+        Called repeatedly with the fraction done, 0..1, and the best code so far. It may raise KeyboardInterrupt.
     threads : int, optional
         All cores when omitted. The result does not depend on it.
     resume : ProofLog, optional
@@ -107,7 +107,7 @@ def exact(
 
 
 class _Proof:
-    """State of a proof: the best code, the limit that it sets, and what is done."""
+    """State of a proof: the best code, the limit that it sets, and the finished ranges."""
 
     def __init__(self, problem: SearchProblem, resume: ProofLog | None) -> None:
         self.problem = problem

@@ -1,4 +1,4 @@
-"""The scan behind the proven optimum: 1024 codes at a time, by one bit each.
+"""Compiled scan of the proven optimum: 1024 codes at a time, one bit each.
 
 A code is cut into far chips at both ends, near chips, and an inner block of ten. At a frequency the sum of all chips
 outside the block is a point of the plane; the plane is cut into square cells, and for every cell 1024 bits are kept:
@@ -346,7 +346,7 @@ def keeps_runs(code: np.uint64, limits: Limits) -> bool:
 
 
 def possible(patterns: NDArray[np.int8], limits: Limits, ends: tuple[bool, bool]) -> NDArray[np.bool_]:
-    """Which patterns may be part of a code that keeps the run limits; ``ends`` tells where the code itself ends."""
+    """Which patterns may be part of a code that keeps the run limits; ``ends`` says whether the code ends there."""
     if limits.min_open == limits.min_closed == limits.min_period == 1 and limits.max_open >= patterns.shape[1]:
         return np.ones(len(patterns), dtype=np.bool_)
     return np.array([_runs_fit(row.tolist(), limits, ends) for row in patterns], dtype=np.bool_)

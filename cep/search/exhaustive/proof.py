@@ -1,4 +1,4 @@
-"""What an exhaustive proof leaves behind: how many codes were discarded where, and what the best code's minimum is."""
+"""Log of an exhaustive proof: discarded codes per length, and the minimum of the best code."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["ExactResult", "LengthLog", "ProofLog"]
 
 @dataclass(frozen=True)
 class LengthLog:
-    """What was done with the codes of one length (all codes, along a trajectory).
+    """Counts for the codes of one length (all codes, along a trajectory).
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class LengthLog:
 
 @dataclass(frozen=True)
 class ProofLog:
-    """What a proof rests on; enough to repeat it, or to go on with one that was interrupted.
+    """Log of a proof, sufficient to repeat it or to resume an interrupted one.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class ProofLog:
     limits : dict
         Limits on light, runs and single chips.
     domain : str
-        Frequencies that the minimum is over.
+        Frequencies of the minimum.
     lengths : tuple of LengthLog
     margin : float
         Relative rounding allowance: codes are discarded below (1 - margin) times the best code's certified minimum.
@@ -96,7 +96,7 @@ class ProofLog:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> ProofLog:
-        """Take back what :meth:`to_dict` gave, also by way of a JSON file."""
+        """Read the data of :meth:`to_dict`, also from a JSON file."""
         lengths = (
             LengthLog(**{**entry, "done": tuple((int(a), int(b)) for a, b in entry["done"])})
             for entry in data["lengths"]

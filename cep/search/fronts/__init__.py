@@ -1,1 +1,1 @@
-"""Codes that no other beats in minimum, noise and light at once."""
+"""Pareto fronts of codes in minimum, noise and light."""

@@ -1,4 +1,4 @@
-"""A front as data: codes that no other beats in the minimum of |H|, the noise and the light together."""
+"""Pareto front as data: non-dominated codes in the minimum of |H|, the noise and the light."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ class Front:
     unit : {"chips", "light-true", "light-true, sampled"}
         Of the minimum. In chips: of |P| over the whole unit circle. Light-true: of |H| over the band's continuum.
         Sampled: along a curved path nearly every code has true zeros between the samples, so that the minimum over
-        the continuum tells codes apart no more. The one over the samples is shown, but the front is over noise, itself
-        of the samples, and light alone.
+        the continuum does not distinguish codes. The one over the samples is shown, but the front is over noise and
+        light alone.
     problem : SearchProblem
     seconds : float
     steps : int
@@ -82,7 +82,7 @@ class Front:
 
 
 def non_dominated(values: ArrayLike) -> BoolArray:
-    """Tell which rows no other row beats: none is at least as good in every column and better in one.
+    """Mask of the non-dominated rows: no other row is at least as good in every column and better in one.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def non_dominated(values: ArrayLike) -> BoolArray:
     Returns
     -------
     (R,) bool ndarray
-        Equal rows share their fate.
+        Equal rows have the same value.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def non_dominated(values: ArrayLike) -> BoolArray:
 
 
 def knees(front: Front) -> dict[str, FrontPoint]:
-    """Pick out the best minimum, the least noise, the most light, and the best compromise.
+    """Select the best minimum, the least noise, the most light, and the best compromise.
 
     The compromise loses the fewest decibels in all against the best of each: 20 log10 of the minimum, the noise, and 10
     log10 of the light. Where the minimum is a sampled one, it does not count.
@@ -151,7 +151,7 @@ _NUMBERS = 2**22  # evaluated at once: 16 MB
 
 
 class Judge:
-    """Figures of codes: quick ones on coarse samples, and those that count.
+    """Figures of codes: quick ones on coarse samples, and exact ones.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ class Judge:
         self._mirrored = plain and all(uniform_length_px(s.trajectory) is not None for s in problem.scenarios)
 
     def key(self, code: Codes) -> bytes:
-        """Name a code, shifted and mirrored ones alike where that changes nothing."""
+        """Key of a code, the same for shifted and mirrored ones where these are equivalent."""
         if not self._mirrored:
             return code.tobytes()
         bits = np.trim_zeros(code).tobytes()
@@ -258,7 +258,7 @@ class Archive:
         codes = np.unique(codes[self.problem.satisfied(codes)], axis=0)
         hopes = (self.judge.quick(codes) + _SLACK_DB)[:, self._first :]
         while len(codes):
-            # coarse samples flatter: what is beaten even so is beaten
+            # coarse samples overestimate: a code dominated on them is dominated
             beaten = (self.counted[None] >= hopes[:, None]).all(axis=2).any(axis=1)
             codes, hopes = codes[~beaten], hopes[~beaten]
             chosen = np.flatnonzero(non_dominated(hopes))[:_JUDGED]

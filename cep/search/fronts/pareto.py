@@ -1,4 +1,4 @@
-"""What can be had at once: codes that no other beats in the minimum of |H|, the noise and the light together.
+"""Pareto search: non-dominated codes in the minimum of |H|, the noise and the light.
 
 Codes are searched for every number of open chips with several mixes of minimum and noise, each search from what its
 neighbours found; a Pareto local search then looks at every swap of two chips of every code that is not beaten. Codes
@@ -73,7 +73,7 @@ def pareto_front(
     time_s : float
         Upper limit, seconds, ``math.inf`` for none; the last judgement comes on top.
     progress : callable, optional
-        Called now and then with the fraction done and a word on what is searched. It may raise KeyboardInterrupt.
+        Called repeatedly with the fraction done and a note on the current search. It may raise KeyboardInterrupt.
     threads : int, optional
         As many as there are cores when omitted.
 
@@ -103,7 +103,7 @@ def pareto_front(
 
 
 def front_points(problem: SearchProblem, codes: Iterable[ShutterCode]) -> tuple[FrontPoint, ...]:
-    """Judge codes as a front's are, whether or not they keep the problem's limits."""
+    """Figures of codes as in a front, whether or not they keep the problem's limits."""
     return Judge(problem).points([code.array.astype(np.int8) for code in codes])
 
 
@@ -134,7 +134,7 @@ class _Search:
         self.archives = {count: Archive(self.judge, p) for count, p in problems.items()}
 
     def begin(self) -> None:
-        """Find something for every count, from the middle outwards."""
+        """Find first codes for every count, from the middle outwards."""
         done: list[int] = []
         published = np.array([entry.code.array for entry in for_chips(self.problem.chips)], dtype=np.int8)
         for count in sorted(self.archives, key=lambda k: abs(2 * k - self.problem.chips)):
@@ -163,7 +163,7 @@ class _Search:
             self._settle(count, None)
 
     def front(self, stopped: Stopped) -> Front:
-        """Judge what was found in every figure."""
+        """Measure all figures of the codes found."""
         curves = {
             count: tuple(sorted(self.judge.points(list(archive.codes)), key=lambda p: (p.minimum, p.code.bits)))
             for count, archive in sorted(self.archives.items())
