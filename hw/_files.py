@@ -18,6 +18,6 @@ def regular_file(path: str | Path) -> Path:
     """
     source = Path(path)
     mode = source.stat().st_mode
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # of a folder the system says so by itself
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # for a folder the system's error is clear
         raise ValueError("it is a pipe, a socket or a device, not a regular file")
     return source

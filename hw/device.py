@@ -1,4 +1,4 @@
-"""What a shutter can play: device limits, read from TOML, and the check of a program against them."""
+"""Device profiles: limits of shutters, read from TOML, and the check of a program against them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class DeviceProfile:
     name : str
         Short name, as in ``--device NAME``.
     description : str
-        One line for people.
+        Description in one line.
     tick_ns : int
         Resolution of the device clock: a chip must be a whole number of ticks.
     min_chip_ns, max_chip_ns : int or None
@@ -93,7 +93,7 @@ class DeviceProfile:
         Parameters
         ----------
         program : Program
-            What is to be played.
+            Program to be played.
 
         Returns
         -------

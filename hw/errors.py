@@ -1,4 +1,4 @@
-"""What a device refuses, as typed exceptions."""
+"""Errors of a device as typed exceptions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Serial ports: opened for ourselves alone, and found by name, USB serial number, or what answers on them."""
+"""Serial ports: exclusive opening, and lookup by name or USB serial number."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class SerialPort(Protocol):
 
 
 class OpenPort:
-    """An open port that says in one line when it is gone, and is closed from then on.
+    """An open port whose loss is a one-line error, after which it is closed.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class OpenPort:
         return self._port is not None
 
     def read(self, size: int | None = None) -> bytes:
-        """Read `size` bytes, or what is there, waiting for a short time only.
+        """Read up to `size` bytes, waiting for a short time only.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class PortInfo:
     port : str
         Name by which it is opened.
     description : str
-        What the system says of it.
+        Description by the system.
     serial_number : str or None
         USB serial number, which stays when the port's name changes.
     """
@@ -160,7 +160,7 @@ def port_named(name: str) -> str:
 
 
 def open_port(port: str, *, baud: int = 115200) -> SerialPort:
-    """Open a serial port for ourselves alone.
+    """Open a serial port exclusively.
 
     Where the system allows it, the line that resets an Arduino is left as it is when the port is closed, so that
     opening it again finds the board and its program as they were.

@@ -16,7 +16,7 @@ MAX_CHIP_NS = 2**63 - 1
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A binary shutter code with its chip time: what a shutter is asked to play.
+    """A binary shutter code with its chip time, as a shutter plays it.
 
     All times are integer nanoseconds, so that no exporter and no device ever rounds an edge. The shutter is
     closed before time 0 and after the last chip.
@@ -92,7 +92,7 @@ class Program:
         chip_ns : int
             Chip time in nanoseconds.
         chips : int
-            Number of chips; trailing closed chips are in no edge, hence it must be told.
+            Number of chips; trailing closed chips are in no edge, hence it is a parameter.
 
         Raises
         ------

@@ -10,7 +10,7 @@ from cep.optics.code import ShutterCode
 from hw.device import DeviceProfile, load_profile
 from hw.drivers.cxp import Controller
 from hw.drivers.report import UploadReport
-from hw.drivers.write_only import BlindDevice
+from hw.drivers.write_only import WriteOnlyDevice
 from hw.program import Program
 
 __all__ = ["DRIVERS", "Shutter", "open_shutter"]
@@ -26,11 +26,11 @@ class Shutter:
 
     Attributes
     ----------
-    device : Controller or BlindDevice
+    device : Controller or WriteOnlyDevice
         The driver, for what it can do besides.
     """
 
-    def __init__(self, device: Controller | BlindDevice) -> None:
+    def __init__(self, device: Controller | WriteOnlyDevice) -> None:
         self.device = device
 
     def upload(

@@ -1,1 +1,1 @@
-"""CXP1, our shutter controllers' protocol: frames, requests, programs in ticks, the link, and the clock behind it."""
+"""CXP1, the protocol of the shutter controllers: frames, requests, programs in ticks, link, and clock calibration."""

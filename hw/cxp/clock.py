@@ -1,4 +1,4 @@
-"""A controller's clock measured against the host's: ceramic resonators are off by thousands of parts per million."""
+"""Calibration of a controller's clock against the host's: ceramic resonators are off by thousands of ppm."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LARGEST_PPM = 100_000
 
 @dataclass(frozen=True, slots=True)
 class ClockFit:
-    """By how much a device's clock is fast.
+    """Error of a device's clock.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ class ClockFit:
 def fit_clock(readings: Sequence[tuple[float, float, int]]) -> ClockFit:
     """Fit a line to readings of a device's clock.
 
-    Each reading happened somewhere between the request and its reply; the quickest of every four in a row is used, at
-    the middle, since what is always the same in the delay moves the line without tilting it. (The quickest quarter of
-    all would do as well where delays vary, but where they are even it may come from a short part of the time.)
+    The time of a reading lies between the request and its reply. The quickest of every four in a row is used, at the
+    middle: a constant delay moves the line without tilting it. (The quickest quarter of all may come from a short part
+    of the time where delays are even.)
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ def measure_clock(
     ----------
     controller : Controller
     seconds : float
-        How long; the error falls with its power of 1.5.
+        Duration; the error falls with its power of 1.5.
     progress : callable, optional
-        Told the fraction done, 0..1.
+        Called with the fraction done, 0..1.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Frames on a byte stream: a CRC guards each, a byte that occurs nowhere else ends it."""
+"""Frames on a byte stream, with a CRC and a reserved end byte."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class FrameError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Framing:
-    """A way to put bytes on a line; :data:`BINARY` for UARTs, :data:`TEXT` for consoles.
+    """Encoding of frames on a line: :data:`BINARY` for UARTs, :data:`TEXT` for consoles.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""CXP1 over a serial port: frames out, replies in, retries, and a shutter that is closed when anything fails."""
+"""CXP1 over a serial port: requests, replies, retries, and an abort when anything fails."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ _CHANGES = frozenset({Op.LOAD, Op.ARM, Op.TRIG})
 class Link:
     """Requests and replies on an open port.
 
-    As a context manager it sends ABORT when left by an exception after it has loaded, armed or triggered anything: what
-    another program has armed is left alone. Left normally it leaves an armed device armed (its lease ends that). A link
-    still open when the interpreter ends does as by an exception.
+    As a context manager it sends ABORT when left by an exception after it has loaded, armed or triggered anything; a
+    program armed by another host is not aborted. Left normally it leaves an armed device armed (its lease ends that).
+    A link still open when the interpreter ends is left as by an exception.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Link:
     def request(self, op: int, payload: bytes = b"", *, attempts: int | None = None) -> bytes:
         """Send one request until its reply comes, and return the reply's data.
 
-        The very same frame is sent each time, so that the device can tell a retry from a second request.
+        The same frame is sent each time, so that the device can distinguish a retry from a second request.
 
         Raises
         ------
@@ -89,7 +89,7 @@ class Link:
             reply = self._ask(op, payload, self.framing, flush=attempt > 0)
             if reply is not None:
                 if reply.error:
-                    self._answerable = before  # refused: whatever the device does, it is not our doing
+                    self._answerable = before  # refused: this request changed nothing
                 elif op == Op.ABORT:
                     self._answerable = False
                 return self._data(reply)
@@ -99,7 +99,7 @@ class Link:
         )
 
     def hello(self, *, hello_s: float = 3.0) -> Hello:
-        """Ask the device who it is, for `hello_s` seconds: a board that resets on opening is deaf for a while.
+        """Request the device's HELLO for `hello_s` seconds: a board that resets on opening answers late.
 
         Both framings are tried in turn, and the one that is answered is kept.
 
@@ -130,7 +130,7 @@ class Link:
         raise PortError(f"{self.name} is silent for {hello_s:g} s: check power and firmware, or name another port")
 
     def abort(self) -> bool:
-        """Close the shutter and disarm, never raising; False unless the device says afterwards that it is at rest."""
+        """Close the shutter and disarm, never raising; False unless the device's status is then at rest."""
         if not self._port.is_open:
             return False
         try:
@@ -140,7 +140,7 @@ class Link:
             return False
 
     def close(self) -> None:
-        """Close the port without a word to the device; may be called again."""
+        """Close the port without sending anything; may be called again."""
         atexit.unregister(self._leave)
         self._port.close()
 
@@ -199,7 +199,7 @@ class Link:
 def open_link(
     port: str, *, baud: int = 115200, timeout_s: float = 0.15, attempts: int = 12, hello_s: float = 3.0
 ) -> tuple[Link, Hello]:
-    """Open a port and greet the device on it.
+    """Open a port and request the HELLO of the device on it.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def open_link(
     link : Link
         The open link; close it, or use it as a context manager.
     hello : Hello
-        What the device said of itself.
+        The device's HELLO.
 
     Raises
     ------

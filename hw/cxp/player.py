@@ -1,4 +1,4 @@
-"""The player in a CXP1 controller, request by request, each confirmed by what the controller says afterwards."""
+"""Requests to the player of a CXP1 controller, each confirmed by the controller's status afterwards."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["RemotePlayer", "VerifyError"]
 
 
 class VerifyError(RuntimeError):
-    """The device holds, or did, something else than it was told."""
+    """The device holds another program, or is in another state, than requested."""
 
 
 class RemotePlayer:
@@ -41,12 +41,12 @@ class RemotePlayer:
         Returns
         -------
         Stored
-            What was sent, of which the device has confirmed the CRC-32.
+            The program sent, whose CRC-32 the device has confirmed.
 
         Raises
         ------
         ValueError
-            If the program cannot be said in the device's ticks, see `hw.cxp.protocol.stored_program`.
+            If the program cannot be expressed in the device's ticks, see `hw.cxp.protocol.stored_program`.
         VerifyError
             If the device confirms something else, or is not loaded afterwards.
         """
@@ -98,7 +98,7 @@ class RemotePlayer:
         Raises
         ------
         VerifyError
-            If the device is in another state; it has then been told to abort.
+            If the device is in another state; ABORT has then been sent.
         """
         payload = pack_arm(lease_ms)
         before = self.status()
@@ -121,7 +121,7 @@ class RemotePlayer:
         Raises
         ------
         VerifyError
-            If it still plays after `timeout_s`, or if the device says anything else; it has then been told to abort.
+            If it still plays after `timeout_s`, or the status is another one; ABORT has then been sent.
         """
         before = self.status()
         self.trigger()
@@ -176,7 +176,7 @@ class RemotePlayer:
         Raises
         ------
         VerifyError
-            If it still plays after `timeout_s`, or reports a fault; it has then been told to abort.
+            If it still plays after `timeout_s`, or reports a fault; ABORT has then been sent.
         """
         deadline = time.monotonic() + timeout_s
         while True:
@@ -184,7 +184,7 @@ class RemotePlayer:
             late = status.state is State.PLAY and time.monotonic() >= deadline
             if late or status.state is State.FAULT:
                 what = f"still plays after {timeout_s:g} s" if late else "reports a fault"
-                error = VerifyError(f"{self.link.name} {what}, told to abort")
+                error = VerifyError(f"{self.link.name} {what}; ABORT was sent")
                 self.link.abort_after(error)
                 raise error
             if status.state is not State.PLAY:

@@ -64,7 +64,7 @@ AT_REST = frozenset({State.IDLE, State.LOADED})
 
 
 class ResetCause(IntEnum):
-    """Why the device started last."""
+    """Cause of the device's last reset."""
 
     POWER = 0
     RESET_LINE = 1
@@ -85,7 +85,7 @@ class Reply:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hello:
-    """What a device says of itself; times in its ticks where so named, and None for no limit.
+    """Properties of a device; times in its ticks where so named, and None for no limit.
 
     Parameters
     ----------

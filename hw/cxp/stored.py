@@ -1,4 +1,4 @@
-"""A program in a device's own ticks: what LOAD sends and READ returns (``docs/cxp1.md``)."""
+"""A program in a device's ticks: the payload of LOAD and READ (``docs/cxp1.md``)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Stored:
         return self.ticks + Fraction(self.fraction, 65536)
 
     def difference(self, other: Stored) -> str:
-        """Say in a few words what `other` has that this has not; empty when they are equal."""
+        """Describe how `other` differs, in a few words; empty when they are equal."""
         if self.chip_ticks != other.chip_ticks:
             return f"chip of {float(other.chip_ticks):.7g} ticks, not {float(self.chip_ticks):.7g}"
         if len(self.bits) != len(other.bits):
@@ -51,7 +51,7 @@ class Stored:
 
 
 def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) -> Stored:
-    """Say a program in a device's ticks.
+    """Express a program in a device's ticks.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) ->
     hello : Hello
         What the device announced.
     clock_ppm : float
-        By how much the device's clock is fast (slow: negative), parts per million: chips are stretched by as much, to
+        Error of the device's clock, parts per million, positive when fast: chips are stretched by as much, to
         the nearest fraction of a tick when the device takes fractions, or else to the nearest tick. With 0 the chip
         must be a whole number of ticks.
 

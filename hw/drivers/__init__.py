@@ -1,4 +1,4 @@
-"""Drivers: a program onto a real controller, and what is then known about it."""
+"""Drivers: upload of a program to a real controller, with a report of its trust."""
 
 from hw.drivers.report import Trust, UploadReport
 

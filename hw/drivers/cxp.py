@@ -52,16 +52,16 @@ class Controller(RemotePlayer):
     @property
     def limits(self) -> DeviceProfile:
         """Limits that the device announced."""
-        told = self.announced
+        hello = self.announced
         return DeviceProfile(
             name=self.link.name,
-            description=told.firmware,
-            tick_ns=told.tick_ns,
-            min_chip_ns=told.min_ticks * told.tick_ns,
-            max_chip_ns=told.max_ticks * told.tick_ns,
-            max_chips=told.max_chips,
-            max_on_ns=None if told.max_on_ticks is None else told.max_on_ticks * told.tick_ns,
-            max_duty=told.max_duty,
+            description=hello.firmware,
+            tick_ns=hello.tick_ns,
+            min_chip_ns=hello.min_ticks * hello.tick_ns,
+            max_chip_ns=hello.max_ticks * hello.tick_ns,
+            max_chips=hello.max_chips,
+            max_on_ns=None if hello.max_on_ticks is None else hello.max_on_ticks * hello.tick_ns,
+            max_duty=hello.max_duty,
         )
 
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
@@ -90,7 +90,7 @@ class Controller(RemotePlayer):
         Parameters
         ----------
         program : Program
-            What to play.
+            Program to play.
         profile : DeviceProfile, optional
             Limits of the shutter, besides those the controller announced.
         verify : bool
@@ -100,7 +100,7 @@ class Controller(RemotePlayer):
         lease_ms : int
             Lease of the arming, ms.
         clock_ppm : float
-            By how much the device's clock is fast, as `hw.cxp.clock.measure_clock` finds it; chips are stretched by it.
+            Error of the device's clock, positive when fast (`hw.cxp.clock.measure_clock`); chips are stretched by it.
 
         Raises
         ------
@@ -124,7 +124,7 @@ class Controller(RemotePlayer):
             if arm:
                 armed = self._armed(payload, self.status()).state is State.ARMED
         except WrongStateError:
-            raise  # it is armed or playing for somebody: refusing is all it did, and all we do
+            raise  # it is armed or playing for another host: leave it as it is
         except BaseException as error:
             self.link.abort_after(error)
             raise
@@ -147,7 +147,7 @@ class Controller(RemotePlayer):
         )
 
     def close(self) -> None:
-        """Close the port without a word to the device."""
+        """Close the port without sending anything."""
         self.link.close()
 
     def __enter__(self) -> Self:

@@ -1,4 +1,4 @@
-"""CXP1 controllers found by asking every serial port who is there."""
+"""Discovery of CXP1 controllers on all serial ports."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ __all__ = ["ask_ports", "open_controller"]
 
 
 def ask_ports(*, hello_s: float = 2.5) -> tuple[tuple[PortInfo, Hello | str], ...]:
-    """Greet every serial port, and tell what each answers: its HELLO, or in one line why there is none.
+    """Request a HELLO on every serial port; returns each HELLO, or the reason why there is none in one line.
 
-    Opening a port resets many boards, and a foreign device hears bytes that it does not expect.
+    Opening a port resets many boards, and other devices receive unexpected bytes.
     """
     found: list[tuple[PortInfo, Hello | str]] = []
     for info in list_ports():

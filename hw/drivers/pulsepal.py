@@ -6,7 +6,7 @@ from typing import Self
 
 from hw.device import DeviceProfile
 from hw.drivers.pulsepal_link import Parameter, PulsePalLink, dac_code, open_pulsepal
-from hw.drivers.write_only import BlindDevice
+from hw.drivers.write_only import WriteOnlyDevice
 from hw.export.pulsepal import MAX_PULSES, pulse_train
 from hw.program import Program
 
@@ -15,10 +15,10 @@ __all__ = ["PulsePal"]
 _LINKS = {1: Parameter.LINK_1, 2: Parameter.LINK_2}
 
 
-class PulsePal(BlindDevice):
+class PulsePal(WriteOnlyDevice):
     """A Pulse Pal on an open link.
 
-    `upload` and `abort` stop all four outputs, since the device knows no other way. A trigger takes effect some 50 us
+    `upload` and `abort` stop all four outputs, the only way the device has. A trigger takes effect some 50 us
     later.
 
     Parameters
@@ -71,18 +71,18 @@ class PulsePal(BlindDevice):
 
     @property
     def firmware(self) -> str:
-        """What the device says it runs."""
+        """Firmware, as the device reports it."""
         return f"pulse-pal {self.link.firmware}"
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know of this device, one sentence each."""
+        """Warnings for the user about this device, one sentence each."""
         if self.link.firmware == 20:
             return ("firmware 20 has a fault in gated triggers, which are not used here: update the Pulse Pal to 21",)
         return ()
 
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
-        """List what keeps the program from being played: by the Pulse Pal, and by the limits of `profile`."""
+        """List the reasons why the Pulse Pal, or a shutter with the limits of `profile`, cannot play the program."""
         own: tuple[str, ...] = ()
         try:
             pulse_train(program)

@@ -1,4 +1,4 @@
-"""The Pulse Pal's serial protocol: a menu byte, an op and its data; one byte back where the op has a reply at all."""
+"""Serial protocol of the Pulse Pal: a menu byte, an op and its data; some ops are acknowledged by one byte."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class _Op(IntEnum):
 
 
 class Parameter(IntEnum):
-    """What can be set on a channel; the numbers are the protocol's."""
+    """Parameters of a channel, with the protocol's numbers."""
 
     BIPHASIC = 1
     PHASE_1_VOLTS = 2
@@ -120,7 +120,7 @@ class PulsePalLink:
         Raises
         ------
         LinkError
-            If the replies do not fit the commands, so that it is unknown what was taken.
+            If the replies do not fit the commands: it is then unknown which were accepted.
         """
         heard = self._greet(self.timeout_s)
         if heard != b"K" + struct.pack("<I", self.firmware):
@@ -176,11 +176,11 @@ class PulsePalLink:
             raise LinkError(f"{self.name} does not answer: check cable and power")
 
     def close(self) -> None:
-        """Close the port without a word to the device; may be called again."""
+        """Close the port without sending anything; may be called again."""
         self._port.close()
 
     def _greet(self, seconds: float) -> bytes:
-        """Handshake until an answer comes, and return all that was heard."""
+        """Handshake until an answer comes, and return all received bytes."""
         deadline = time.monotonic() + seconds
         heard = b""
         for attempt in range(max(1, round(seconds / self.timeout_s))):

@@ -1,4 +1,4 @@
-"""What is known after a program was handed over: the report of an upload, and how far it can be trusted."""
+"""Report of an upload, with the level of trust that it proves."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["Trust", "UploadReport"]
 
 
 class Trust(StrEnum):
-    """How far a shutter is known to play the program."""
+    """Level of evidence that a shutter plays the program."""
 
     A = "A"
     """The device sent its stored program back identical, and its firmware's edges are proven on emulated hardware."""
@@ -20,7 +20,7 @@ class Trust(StrEnum):
 
     @property
     def meaning(self) -> str:
-        """What the level says, in a few words."""
+        """Meaning of the level, in a few words."""
         return _MEANINGS[self]
 
 
@@ -42,19 +42,19 @@ class UploadReport:
     chips, chip_ns, pulses, duration_ns, code_crc32 : int
         The program, as `hw.program.Program` names it.
     trust : Trust
-        What the upload proves.
+        Trust proven by the upload.
     read_back : bool
         Whether the device sent the program back, identical.
     firmware : str
-        What the device says it runs.
+        Firmware, as the device reports it.
     armed : bool
         Whether the device now waits for a trigger; it does not if one came right after arming.
     lease_ms : int or None
         After how long without a trigger an armed device disarms itself.
     clock_ppm : float
-        By how much the device's clock was taken to be fast.
+        Assumed error of the device's clock, positive when fast.
     warnings : tuple of str
-        What is not as the program says, one sentence each.
+        Deviations from the program, one sentence each.
     retries : int
         Frames sent again because no valid reply came.
     seconds : float

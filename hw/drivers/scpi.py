@@ -8,7 +8,7 @@ from typing import Self
 
 from hw.device import DeviceProfile
 from hw.drivers.scpi_link import ScpiLink, open_scpi
-from hw.drivers.write_only import BlindDevice
+from hw.drivers.write_only import WriteOnlyDevice
 from hw.errors import DeviceError, WrongStateError
 from hw.export.scpi import WAVEFORM, commands, sample_rate, samples
 from hw.port import LinkError, PortError
@@ -18,10 +18,10 @@ __all__ = ["ScpiAwg"]
 
 _MODEL = re.compile(r"33[56]\d\d[A-Z]?|EDU3321\d[A-Z]?")
 _ON, _OFF = ("1", "ON"), ("0", "OFF")
-_CLOCK = 1e-6  # what such an instrument's own clock may be off by
+_CLOCK = 1e-6  # clock error of such an instrument
 
 
-class ScpiAwg(BlindDevice):
+class ScpiAwg(WriteOnlyDevice):
     """A waveform generator on an open link; it uses channel 1.
 
     The code begins one chip after the trigger. With the output off, which it is unless armed, the connector is open:
@@ -55,7 +55,7 @@ class ScpiAwg(BlindDevice):
 
     @classmethod
     def open(cls, resource: str, *, backend: str = "@py", timeout_s: float = 3.0) -> Self:
-        """Open an instrument and ask who it is; parameters and errors as `hw.drivers.scpi_link.open_scpi`."""
+        """Open an instrument and check its identity; parameters and errors as `hw.drivers.scpi_link.open_scpi`."""
         link = open_scpi(resource, backend=backend, timeout_s=timeout_s)
         try:
             return cls(link)
@@ -65,11 +65,11 @@ class ScpiAwg(BlindDevice):
 
     @property
     def firmware(self) -> str:
-        """What the device says it runs."""
+        """Firmware, as the device reports it."""
         return self._firmware
 
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
-        """List what keeps the program from being played: by the waveform, and by the limits of `profile`."""
+        """List the reasons why the waveform, or a shutter with the limits of `profile`, cannot play the program."""
         own: tuple[str, ...] = ()
         for limited in (samples, sample_rate):
             try:
@@ -86,7 +86,7 @@ class ScpiAwg(BlindDevice):
         WrongStateError
             If it is not armed, or a program that was triggered here is still playing.
         DeviceError, LinkError
-            If the instrument refuses, or is gone; it was told to abort.
+            If the instrument refuses, or is gone; an abort has then been sent.
         """
         if not self._armed:
             raise WrongStateError(f"{self.name} is not armed: arm before trigger")
@@ -139,7 +139,7 @@ class ScpiAwg(BlindDevice):
     def _abort(self) -> None:
         self._armed = False
         self.link.send("OUTP OFF")
-        self.link.send("*CLS")  # errors that others made are not counted as ours
+        self.link.send("*CLS")  # clear errors of earlier commands
         answer = self.link.ask("OUTP?")
         if answer not in _OFF:
             raise LinkError(

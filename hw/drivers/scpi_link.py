@@ -1,4 +1,4 @@
-"""SCPI messages to a VISA instrument: each command is followed by the question whether it made an error."""
+"""SCPI messages to a VISA instrument: each command is followed by an error query."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hw.port import LinkError, PortError, one_line
 __all__ = ["ScpiLink", "open_scpi"]
 
 _NO_ERROR = re.compile(r"[+-]?0+\s*(,|$)")
-_LONGEST_QUEUE = 40  # of errors; who answers with more of them is no such instrument
+_LONGEST_QUEUE = 40  # of errors; an instrument that reports more is of another kind
 
 
 class ScpiLink:
@@ -67,7 +67,7 @@ class ScpiLink:
             ) from error
 
     def do(self, command: str, data: bytes = b"") -> None:
-        """Send a command and fetch every error that it made.
+        """Send a command and fetch its errors.
 
         Raises
         ------
@@ -84,7 +84,7 @@ class ScpiLink:
             raise DeviceError(f"{self.name} refuses {command[:40]}: {'; '.join(errors[:3])}")
 
     def close(self) -> None:
-        """Close the resource without a word to the instrument; may be called again."""
+        """Close the resource without sending anything; may be called again."""
         resource, self._resource = self._resource, None
         if resource is not None:
             with contextlib.suppress(Exception):  # a lost connection may refuse even this

@@ -1,4 +1,4 @@
-"""What drivers share whose devices acknowledge a program but tell neither what they hold nor what they do."""
+"""Base class of drivers for devices without read-back or status."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from hw.drivers.report import Trust, UploadReport
 from hw.errors import WrongStateError
 from hw.program import Program
 
-__all__ = ["BlindDevice"]
+__all__ = ["WriteOnlyDevice"]
 
 _MARGIN_S = 0.01  # from the command to the first edge
 
 
-class BlindDevice(ABC):
-    """Base of the drivers of devices that cannot be asked: their trust is B.
+class WriteOnlyDevice(ABC):
+    """Base of drivers for devices without read-back or status: their trust is B.
 
-    What was uploaded and how long a play lasts is known from here only, hence nothing is triggered that was not
-    uploaded here, and nothing twice at a time. As a context manager it aborts when left by an exception; left normally
+    The uploaded program and the end of a play are known to this driver only. So only a program uploaded here is
+    triggered, and only once at a time. As a context manager it aborts when left by an exception; left normally
     it leaves an armed device armed. One that is still open when the interpreter ends aborts too.
 
     Parameters
@@ -42,24 +42,24 @@ class BlindDevice(ABC):
     @property
     @abstractmethod
     def firmware(self) -> str:
-        """What the device says it runs."""
+        """Firmware, as the device reports it."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know of this device, one sentence each."""
+        """Warnings for the user about this device, one sentence each."""
         return ()
 
     @abstractmethod
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
-        """List what keeps the program from being played: by the device itself, and by the limits of `profile`."""
+        """List the reasons why the device, or a shutter with the limits of `profile`, cannot play the program."""
 
     def upload(self, program: Program, *, profile: DeviceProfile | None = None, arm: bool = False) -> UploadReport:
-        """Check a program, abort what is going on, store the program, and arm if wanted.
+        """Check a program, abort a running one, store the program, and arm if wanted.
 
         Parameters
         ----------
         program : Program
-            What to play.
+            Program to play.
         profile : DeviceProfile, optional
             Limits of the shutter, and the level at which it is closed.
         arm : bool
@@ -68,14 +68,14 @@ class BlindDevice(ABC):
         Returns
         -------
         UploadReport
-            What is now known.
+            Report with trust B.
 
         Raises
         ------
         ValueError
             If a limit is broken; the message lists all of them and nothing was sent.
         DeviceError, LinkError
-            If the device refuses, or stops answering; it was told to abort.
+            If the device refuses, or stops answering; an abort has then been sent.
         """
         problems = self.check(program, profile=profile)
         if problems:
@@ -113,21 +113,21 @@ class BlindDevice(ABC):
         WrongStateError
             If no program was uploaded here.
         DeviceError, LinkError
-            If the device refuses, or stops answering; it was told to abort.
+            If the device refuses, or stops answering; an abort has then been sent.
         """
         self._loaded("arm")
         with self._aborted_on_error():
             self._arm()
 
     def trigger(self) -> None:
-        """Play the program once, now; nothing says that the device did.
+        """Play the program once, now, without confirmation by the device.
 
         Raises
         ------
         WrongStateError
             If no program was uploaded here, or one that was triggered here is still playing.
         DeviceError, LinkError
-            If the device refuses, or is gone; it was told to abort.
+            If the device refuses, or is gone; an abort has then been sent.
         """
         program = self._loaded("trigger")
         left_s = self._over_s - time.monotonic()
@@ -164,7 +164,7 @@ class BlindDevice(ABC):
         self._over_s = 0.0
 
     def close(self) -> None:
-        """Close the connection without a word to the device; may be called again."""
+        """Close the connection without sending anything; may be called again."""
         atexit.unregister(self._leave)
         self._disconnect()
 

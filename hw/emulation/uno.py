@@ -1,4 +1,4 @@
-"""An Arduino Uno for those without one: the shipped firmware on simavr, its UART on a pseudo-terminal."""
+"""Emulated Arduino Uno: the shipped firmware on simavr, its UART on a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hw.emulation.build import EmulationError, build_board
 __all__ = ["CLOCK_HZ", "SIGNALS", "EmulatedUno"]
 
 CLOCK_HZ = 16_000_000
-"""Clock of the board, as it believes."""
+"""Nominal clock of the board, Hz."""
 SIGNALS = ("shutter", "busy", "trigger")
 """Pins watched: D9, A1 and D2."""
 
@@ -33,7 +33,7 @@ class EmulatedUno:
     speed : float
         How fast its time runs, 1 for real time; 0 lets it run as fast as it can, which suits anything but leases.
     clock_ppm : float
-        By how much its crystal is fast, parts per million; the board does not know.
+        Error of its crystal, parts per million, positive when fast.
     noise : float
         Chance, per byte and each way, that a byte is lost, changed in one bit, or doubled on the line.
     noise_seed : int
@@ -110,14 +110,14 @@ class EmulatedUno:
         return self
 
     def stop(self) -> None:
-        """Switch it off; what its pins did can still be asked for."""
+        """Switch it off; its edges can still be read."""
         if self._board is not None:
             with contextlib.suppress(EmulationError):
                 self._events = self._ask_events()
             self._end()
 
     def check(self) -> None:
-        """Look whether it still runs.
+        """Check that it still runs.
 
         Raises
         ------
@@ -173,7 +173,7 @@ class EmulatedUno:
         return tuple((cycle, level) for cycle, name, level in self._known_events() if name == signal)
 
     def write_vcd(self, path: str | Path) -> None:
-        """Write what the pins did as a logic analyser with a true clock would have seen it, in units of 100 ps."""
+        """Write the edges of the pins as the recording of an ideal logic analyser, in units of 100 ps."""
         marks = dict(zip(SIGNALS, "sbt", strict=True))
         lines = ["$timescale 100 ps $end", "$scope module uno $end"]
         lines += [f"$var wire 1 {mark} {name} $end" for name, mark in marks.items()]

@@ -25,7 +25,7 @@ __all__ = ["EXPORTERS", "Exporter"]
 
 
 class Exporter(Protocol):
-    """What an export module offers; one module per format."""
+    """Protocol of the export modules; one module per format."""
 
     @property
     def suffix(self) -> str:
@@ -33,7 +33,7 @@ class Exporter(Protocol):
 
     @property
     def summary(self) -> str:
-        """What the file is, in a few words."""
+        """Description of the file, in a few words."""
 
     def export(self, program: Program, device: DeviceProfile = ..., /) -> str:
         """Write the program as text; ValueError when the format cannot represent it."""

@@ -78,6 +78,6 @@ def parse_back(text: str, /) -> Program:
 
 
 def _limit(chips: int, chip_ns: int) -> None:
-    # An altered count must not make us build a code of gigabytes before the CRC can tell.
+    # An altered count must not allocate gigabytes before the CRC is checked.
     if chips > 10**7 or not chip_ns:
         raise ValueError(f"CSV has {chips} chips of {chip_ns} ns: at most 10000000 chips of at least 1 ns can be read")

@@ -1,4 +1,4 @@
-"""JSON manifest: the code, its timing and its edges, for people's own scripts."""
+"""JSON manifest: the code, its timing and its edges, for scripts of users."""
 
 from __future__ import annotations
 

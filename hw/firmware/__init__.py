@@ -1,1 +1,1 @@
-"""Firmware of shutter controllers: sources, and what is built from them."""
+"""Firmware of shutter controllers: sources and builds."""

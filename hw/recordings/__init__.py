@@ -1,1 +1,1 @@
-"""What a shutter really played: logic-analyser recordings, and their edges against the program."""
+"""Recordings of shutters by logic analysers, and their comparison with the program."""

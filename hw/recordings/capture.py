@@ -1,4 +1,4 @@
-"""Files that a logic analyser's software writes, told apart by their content."""
+"""Reader of logic-analyser files of any supported format, recognised by content."""
 
 from __future__ import annotations
 

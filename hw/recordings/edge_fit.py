@@ -1,4 +1,4 @@
-"""Which recorded edge is which of the program, and the clock through them."""
+"""Matching of recorded edges to a program's, and a fit of the clock."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class EdgeFit:
     Parameters
     ----------
     program : Program
-        What the edges were compared with.
+        Program that the edges were compared with.
     pairs : tuple of (int, float, int)
         Edges found, as (time in the program in ns, recorded time in ns, level).
     scale : float
@@ -58,15 +58,15 @@ class EdgeFit:
 def fit_edges(edges: Sequence[tuple[float, int]], program: Program, /) -> EdgeFit:
     """Find the program's edges among recorded ones.
 
-    Openings may be missing or too many, also at the beginning: it is tried which recorded opening is which of the
-    program, and the fewest wrong chips win, the plainest of equals.
+    Openings may be missing or too many, also at the beginning: all matches of the first openings are tried, and the one
+    with the fewest wrong chips is taken, the simplest of equals.
 
     Parameters
     ----------
     edges : sequence of (float, int)
         Recorded changes of one play as (time_ns, level), in order; at least one opening.
     program : Program
-        What should have been played.
+        Commanded program.
     """
     nominal = program.edges
     opened, starts = [edge for edge in edges if edge[1]], [edge for edge in nominal if edge[1]]

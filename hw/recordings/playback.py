@@ -1,4 +1,4 @@
-"""Recorded edges against the program: what the shutter really played, by whose clock, and how steadily."""
+"""Verification of recorded plays against the program: chips, clock error, jitter, widening."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ class Verification:
     achieved : str
         Chips as played, by majority of the open time of each at the fitted clock.
     same_bits : bool
-        Whether that is the program's code.
+        Whether these are the program's chips.
     inverted : bool
         Whether the signal rests high, hence is open when low.
     scale_ppm : float
-        How much longer than asked for everything lasts, parts per million.
+        Clock error: how much longer than commanded the play lasts, parts per million.
     jitter_ns, worst_ns : float
         Root mean square and largest distance of an edge from the fitted clock.
     widening_ns : float
-        How much longer the openings last than the fitted clock says: slow closing, or the device's own addition.
+        How much longer than by the fitted clock the openings last: slow closing, or a bias of the device.
     matched, missing, extra : int
         Edges found in their places, openings of the program not found, and openings found that it has not.
     glitches : int
@@ -47,7 +47,7 @@ class Verification:
     latency_ns : float or None
         From the trigger to the first chip, if a trigger was recorded.
     problems : tuple of str
-        What is wrong, each in one sentence; empty when the program was played.
+        Deviations, each in one sentence; empty when the program was played.
     """
 
     start_ns: float
@@ -67,7 +67,7 @@ class Verification:
 
     @property
     def verdict(self) -> str:
-        """All of it in one line."""
+        """Summary in one line."""
         if self.problems:
             return "; ".join(self.problems)
         rest = ", signal inverted" if self.inverted else ""
@@ -85,7 +85,7 @@ def align(trace: Trace, program: Program, *, trigger: Trace | None = None) -> tu
     trace : Trace
         The shutter's signal; its level at rest counts as closed, whichever it is.
     program : Program
-        What should have been played.
+        Commanded program.
     trigger : Trace or None
         A signal that rises at or shortly before every play; without one, a play begins with its first opening.
 
@@ -233,7 +233,7 @@ def _nothing(program: Program, inverted: bool, glitches: int, trigger_ns: float)
 
 
 def _explained(fit: EdgeFit, edges: Sequence[tuple[float, int]], program: Program) -> tuple[EdgeFit, str]:
-    """Say how a wrong code differs; known mistakes of firmware are recognised when they explain every edge."""
+    """Describe how a wrong code differs; known firmware errors are recognised when they explain every edge."""
     padded = program.bits.ljust(-(-program.chips // 8) * 8, "0")
     swapped = "".join(padded[8 * (k // 8) + 7 - k % 8] for k in range(program.chips))
     mistakes = {

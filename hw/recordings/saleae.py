@@ -21,7 +21,7 @@ _LATE_NS = 2**43  # some 2.4 hours: from there on a float of nanoseconds loses i
 
 
 def is_saleae(text: str) -> bool:
-    """Whether the text begins as such an export does."""
+    """Whether the text begins like such an export."""
     return _TIME_COLUMN.fullmatch(re.split(r"[,\t\n]", text, maxsplit=1)[0].strip('" \r')) is not None
 
 

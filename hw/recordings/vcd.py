@@ -1,4 +1,4 @@
-"""Recordings in VCD (value change dump), whoever wrote them."""
+"""Recordings in VCD (value change dump)."""
 
 from __future__ import annotations
 

@@ -209,7 +209,7 @@ def test_a_missed_edge_is_a_fault_until_it_is_aborted():
     with CxpController(Faults(fault=True)) as device, Controller.open(device.port, **FAST) as controller:
         controller.upload(PROGRAM, arm=True)
         controller.trigger()
-        with pytest.raises(VerifyError, match="reports a fault, told to abort"):
+        with pytest.raises(VerifyError, match="reports a fault; ABORT was sent"):
             controller.wait(timeout_s=5)
         status = controller.status()
     assert (status.state, status.runs, status.late) == (State.LOADED, 0, 1)
@@ -343,7 +343,7 @@ def test_a_play_that_never_ends_is_aborted():
     with CxpController(Faults(stuck_play=True)) as device, Controller.open(device.port, **FAST) as controller:
         controller.upload(PROGRAM, arm=True)
         controller.trigger()
-        with pytest.raises(VerifyError, match=r"still plays after 0\.05 s, told to abort"):
+        with pytest.raises(VerifyError, match=r"still plays after 0\.05 s; ABORT was sent"):
             controller.wait(timeout_s=0.05)
         assert device.state == LOADED
 
