@@ -77,9 +77,14 @@ def blind(
 
     Example: cep bench blind --quick -o blind
     """
-    engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
-    job = blind_job(output, engine, data=data, protocol=protocol, methods=methods, gyro=gyro, quick=quick, force=force)
-    run_job(job, as_json=as_json)
+
+    def plan() -> Job:
+        engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
+        return blind_job(
+            output, engine, data=data, protocol=protocol, methods=methods, gyro=gyro, quick=quick, force=force
+        )
+
+    run_job(plan, as_json=as_json)
 
 
 def speed(
@@ -99,9 +104,14 @@ def speed(
 
     Example: cep bench speed --quick -o speed
     """
-    engine = Engine.of(output, cache=cache, workers=1, dask=None)
-    job = speed_job(output, engine, data=data, protocol=protocol, methods=methods, gyro=gyro, quick=quick, force=force)
-    run_job(job, as_json=as_json)
+
+    def plan() -> Job:
+        engine = Engine.of(output, cache=cache, workers=1, dask=None)
+        return speed_job(
+            output, engine, data=data, protocol=protocol, methods=methods, gyro=gyro, quick=quick, force=force
+        )
+
+    run_job(plan, as_json=as_json)
 
 
 def blind_job(
@@ -256,9 +266,12 @@ def cep(
 
     Example: cep bench cep --quick --protocol ours -o coded
     """
-    engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
-    job = cep_job(output, engine, data=data, protocol=protocol, designs=designs, quick=quick, force=force)
-    run_job(job, as_json=as_json)
+
+    def plan() -> Job:
+        engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
+        return cep_job(output, engine, data=data, protocol=protocol, designs=designs, quick=quick, force=force)
+
+    run_job(plan, as_json=as_json)
 
 
 def cep_job(
@@ -343,9 +356,12 @@ def codes(
 
     Example: cep bench codes raskar-52 jeon-100 --time 60 -o codes
     """
-    engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
-    job = codes_job(output, engine, names=names or (), time_s=time_s, seed=seed, force=force)
-    run_job(job, as_json=as_json)
+
+    def plan() -> Job:
+        engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
+        return codes_job(output, engine, names=names or (), time_s=time_s, seed=seed, force=force)
+
+    run_job(plan, as_json=as_json)
 
 
 def codes_job(output: Path, engine: Engine, *, names: Sequence[str], time_s: float, seed: int, force: bool) -> Job:
@@ -420,17 +436,18 @@ def everything(
 
     Example: cep bench --quick -o bench
     """
-    from cep.bench.index_page import INDEX, write_index
-    from cep.io.outputs import claim_folder
-
     if context.invoked_subcommand is not None:
         _refuse_options(context)
         return
-    engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
-    claim_folder(output, [INDEX], force=force)
-    for name, files in _files().items():  # before any photo is read
-        claim_folder(output / name, files, force=force)
-    jobs = _jobs(output, engine, data=data, gyro=gyro, quick=quick, force=force)
+    with progress("planning"):
+        from cep.bench.index_page import INDEX, write_index
+        from cep.io.outputs import claim_folder
+
+        engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
+        claim_folder(output, [INDEX], force=force)
+        for name, files in _files().items():  # before any photo is read
+            claim_folder(output / name, files, force=force)
+        jobs = _jobs(output, engine, data=data, gyro=gyro, quick=quick, force=force)
     parts: dict[str, Part] = {}
     shows: list[Callable[[Console], None]] = []
     for name, job in jobs.items():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from cep.cli.console import finish, progress
+from cep.cli.console import finish, part, progress
 from cep.cli.jobs import (
     NOT_REACHED,
     Cache,
@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 
 __all__ = ["calibrate", "calibrate_folder"]
 
+
+_ESTIMATE = {
+    "motdiff": (0.07, 0.88), "pmp": (0.07, 0.88), "reference": (0.2, 0.7), "point": (0.35, 0.55), "gyro": (0.45, 0.5),
+}  # fmt: skip
+"""Where in the time of the command a photo's estimate begins and ends; the preview takes most of the rest."""
 
 _WITH_GYRO, _WITH_MOTDIFF = "With --method gyro", "With --method motdiff"
 
@@ -121,17 +126,6 @@ def calibrate(
 
     Example: cep calibrate shots -o shots_motion --workers 4
     """
-    from cep.io.images import parse_gamma, read_image, read_photo
-    from cep.io.outputs import claim_folder
-    from cep.workflows.calibrate import (
-        CALIBRATION_FILES,
-        check_options,
-        check_photo,
-        make_estimator,
-        write_calibration,
-    )
-    from motdiff.io.gyro_tables import read_gyro
-
     options = {
         "samples": samples, "quick": quick or None, "sharp": sharp, "gyro": gyro, "focal_px": focal,
         "start_s": start, "exposure_s": exposure, "rate_unit": gyro_unit,
@@ -143,19 +137,33 @@ def calibrate(
         )  # fmt: skip
         return
     only_of_folders("cep calibrate FOLDER", workers, dask, cache)
-    check_options(method, options)
-    if gyro_unit not in (None, "rad", "deg"):
-        raise ValueError(f"--gyro-unit: must be rad or deg, got {gyro_unit!r}")
-    parse_gamma(gamma)
-    folder = output or image.with_name(f"{image.stem}_motion")
-    claim_folder(folder, CALIBRATION_FILES, force=force)
-    photo = read_photo(image, gamma=gamma)
-    sharp_photo = None if sharp is None else read_image(sharp, gamma=gamma, variable="x")
-    recording = None if gyro is None else read_gyro(gyro, rate_unit=cast(Any, gyro_unit))
-    started = time.perf_counter()
-    try:
-        check_photo(photo.pixels, method)  # before anything slow is loaded
-        with progress(f"estimating the motion ({method})") as tick:
+    with progress(f"estimating the motion ({method})") as tick:
+        tick(0.0, "reading the photo")
+        from cep.io.images import parse_gamma, read_image, read_photo
+        from cep.io.outputs import claim_folder
+        from cep.workflows.calibrate import (
+            CALIBRATION_FILES,
+            check_options,
+            check_photo,
+            make_estimator,
+            write_calibration,
+        )
+        from motdiff.io.gyro_tables import read_gyro
+
+        check_options(method, options)
+        if gyro_unit not in (None, "rad", "deg"):
+            raise ValueError(f"--gyro-unit: must be rad or deg, got {gyro_unit!r}")
+        parse_gamma(gamma)
+        folder = output or image.with_name(f"{image.stem}_motion")
+        claim_folder(folder, CALIBRATION_FILES, force=force)
+        photo = read_photo(image, gamma=gamma)
+        sharp_photo = None if sharp is None else read_image(sharp, gamma=gamma, variable="x")
+        recording = None if gyro is None else read_gyro(gyro, rate_unit=cast(Any, gyro_unit))
+        started = time.perf_counter()
+        begins, ends = _ESTIMATE[method]
+        tick(begins, "estimating")
+        try:
+            check_photo(photo.pixels, method)  # before anything slow is loaded
             estimator = make_estimator(
                 method,
                 samples=samples,
@@ -166,15 +174,17 @@ def calibrate(
                 focal_px=focal,
                 start_s=start,
                 exposure_s=exposure,
-                progress=tick,
+                progress=part(tick, begins, ends),
             )
             found = estimator.estimate(photo.pixels)
-    except ValueError as error:
-        if str(error).partition(": ")[0] in options:  # it is an option that is wrong, not the photo
-            raise
-        raise ValueError(f"{image}: {error}") from None
-    seconds = time.perf_counter() - started
-    files = write_calibration(folder, found, photo.pixels, source={"image": str(image), "seed": seed}, force=force)
+        except ValueError as error:
+            if str(error).partition(": ")[0] in options:  # it is an option that is wrong, not the photo
+                raise
+            raise ValueError(f"{image}: {error}") from None
+        seconds = time.perf_counter() - started
+        tick(ends, "writing")
+        files = write_calibration(folder, found, photo.pixels, source={"image": str(image), "seed": seed}, force=force)
+        tick(1.0)
     motion = found.trajectories[0]
     warnings = [*photo.warnings, *found.warnings]
     result = {
@@ -238,78 +248,81 @@ def calibrate_folder(
     ValueError
         If there are no photos, an output is in the way, or the options suit no folder.
     """
-    from cep.io.images import parse_gamma, read_image
-    from cep.io.outputs import claim_folder, write_text
-    from cep.jobs.cells import Cell
-    from cep.workflows.calibrate import CALIBRATION_FILES, check_options
-    from cep.workflows.calibrate_folder import estimate_photo, estimator_version, photos_in, sharp_of, unreadable
+    with progress(f"estimating the motion ({method})") as tick:
+        from cep.io.images import parse_gamma, read_image
+        from cep.io.outputs import claim_folder, write_text
+        from cep.jobs.cells import Cell
+        from cep.workflows.calibrate import CALIBRATION_FILES, check_options
+        from cep.workflows.calibrate_folder import estimate_photo, estimator_version, photos_in, sharp_of, unreadable
 
-    check_options(method, options)
-    if method == "gyro":
-        raise ValueError("--method gyro: --start is the opening of one photo; give the photos of a folder one by one")
-    parse_gamma(gamma)
-    sharp = options["sharp"]
-    photos = photos_in(folder, but=sharp)
-    sharps = {} if sharp is None else sharp_of(photos, sharp)
-    if sharp is not None and not sharp.is_dir():
-        read_image(sharp, gamma=gamma, variable="x")  # what is wrong with it is wrong with every photo
-    named = folder if folder.name not in ("", "..") else folder.resolve()  # as "." has no name of its own
-    target = output or named.with_name(f"{named.name}_motion")
-    claim_folder(target, [_SUMMARY], force=force)
-    for photo in photos:
-        claim_folder(target / photo.stem, CALIBRATION_FILES, force=force)
-    failures = {_label(photo): reason for photo in photos if (reason := unreadable(photo))}
-    by_label = {_label(photo): photo for photo in photos}
-    version = estimator_version(method)
-    cells = [
-        Cell(
-            (label,),
-            estimate_photo,
-            {
-                "photo": photo, "method": method, "samples": options["samples"], "quick": options["quick"],
-                "gamma": gamma, "seed": seed, "sharp": sharps.get(photo),
-            },
-            version,
-        )
-        for label, photo in by_label.items()
-        if label not in failures
-    ]  # fmt: skip
-    motions: dict[str, dict[str, Any]] = {}
-
-    def write(result: Result) -> None:
-        (label,) = result.cell.name
-        try:
-            motions[label] = _written(
-                by_label[label], result, target / by_label[label].stem, gamma=gamma, seed=seed, force=force
+        check_options(method, options)
+        if method == "gyro":
+            raise ValueError(
+                "--method gyro: --start is the opening of one photo; give the photos of a folder one by one"
             )
-        except _GoneError as error:
-            failures[label] = str(error)
+        parse_gamma(gamma)
+        sharp = options["sharp"]
+        photos = photos_in(folder, but=sharp)
+        sharps = {} if sharp is None else sharp_of(photos, sharp)
+        if sharp is not None and not sharp.is_dir():
+            read_image(sharp, gamma=gamma, variable="x")  # what is wrong with it is wrong with every photo
+        named = folder if folder.name not in ("", "..") else folder.resolve()  # as "." has no name of its own
+        target = output or named.with_name(f"{named.name}_motion")
+        claim_folder(target, [_SUMMARY], force=force)
+        for photo in photos:
+            claim_folder(target / photo.stem, CALIBRATION_FILES, force=force)
+        failures = {_label(photo): reason for photo in photos if (reason := unreadable(photo))}
+        by_label = {_label(photo): photo for photo in photos}
+        version = estimator_version(method)
+        cells = [
+            Cell(
+                (label,),
+                estimate_photo,
+                {
+                    "photo": photo, "method": method, "samples": options["samples"], "quick": options["quick"],
+                    "gamma": gamma, "seed": seed, "sharp": sharps.get(photo),
+                },
+                version,
+            )
+            for label, photo in by_label.items()
+            if label not in failures
+        ]  # fmt: skip
+        motions: dict[str, dict[str, Any]] = {}
 
-    outcome = run_folder(
-        cells,
-        task=f"estimating the motion ({method})",
-        noun="photos",
-        cache=cache or target / "cells",
-        workers=workers,
-        dask=dask,
-        write=write,
-    )
-    motions = {label: motions[label] for label in by_label if label in motions}
-    failures |= {label: reason for (label,), reason in outcome.failures.items()}
-    if force:
-        for label in failures:
-            discard(target / by_label[label].stem, CALIBRATION_FILES)
-    rows = [
-        {
-            "photo": label,
-            **motions.get(label, {}),
-            "failure": failures.get(label, "" if label in motions else NOT_REACHED),
-        }
-        for label in by_label
-    ]
-    spelt = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
-    target.mkdir(parents=True, exist_ok=True)  # nothing is in it where every photo failed
-    write_text(target / _SUMMARY, summary_csv((*_COLUMNS, *_MORE), spelt))
+        def write(result: Result) -> None:
+            (label,) = result.cell.name
+            try:
+                motions[label] = _written(
+                    by_label[label], result, target / by_label[label].stem, gamma=gamma, seed=seed, force=force
+                )
+            except _GoneError as error:
+                failures[label] = str(error)
+
+        outcome = run_folder(
+            cells,
+            tick,
+            noun="photos",
+            cache=cache or target / "cells",
+            workers=workers,
+            dask=dask,
+            write=write,
+        )
+        motions = {label: motions[label] for label in by_label if label in motions}
+        failures |= {label: reason for (label,), reason in outcome.failures.items()}
+        if force:
+            for label in failures:
+                discard(target / by_label[label].stem, CALIBRATION_FILES)
+        rows = [
+            {
+                "photo": label,
+                **motions.get(label, {}),
+                "failure": failures.get(label, "" if label in motions else NOT_REACHED),
+            }
+            for label in by_label
+        ]
+        spelt = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
+        target.mkdir(parents=True, exist_ok=True)  # nothing is in it where every photo failed
+        write_text(target / _SUMMARY, summary_csv((*_COLUMNS, *_MORE), spelt))
     finish_folder(
         {"folder": target, "summary": target / _SUMMARY, "method": method, "photos": motions, "seed": seed},
         _COLUMNS,

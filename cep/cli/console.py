@@ -13,7 +13,19 @@ from typing import TYPE_CHECKING, Any, Protocol
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
 
-__all__ = ["BAD_INPUT", "FAILURE", "INTERRUPTED", "Tick", "complain", "explain", "finish", "progress", "table", "warn"]
+__all__ = [
+    "BAD_INPUT",
+    "FAILURE",
+    "INTERRUPTED",
+    "Tick",
+    "complain",
+    "explain",
+    "finish",
+    "part",
+    "progress",
+    "table",
+    "warn",
+]
 
 FAILURE, BAD_INPUT, INTERRUPTED = 1, 2, 130
 _WIDE = 16  # characters: longer cells are texts, which wrap, as names do, but to no fewer
@@ -115,6 +127,15 @@ def progress(task: str) -> Iterator[Tick]:
             bar.update(row, total=1.0, completed=min(max(fraction, 0.0), 1.0), note=note)
 
         yield tick
+
+
+def part(tick: Tick, begins: float, ends: float) -> Tick:
+    """Return the tick of a part of the work, which begins and ends at these fractions of the whole."""
+
+    def tell(fraction: float, note: str = "", /) -> None:
+        tick((1 - fraction) * begins + fraction * ends, note)
+
+    return tell
 
 
 @dataclass(frozen=True)

@@ -72,44 +72,44 @@ def deblur(
 
     Example: cep deblur coded.png --trajectory trajectory.json --code code.json -o sharp.png
     """
-    from cep.codes.sources import load_code
-    from cep.io.images import check_image_name, parse_gamma, read_photo
-    from cep.io.outputs import claim
-
-    parse_gamma(gamma)
-    shutter = None if code is None else load_code(code)
-    target = output or image.with_name(f"{image.stem}_sharp.png")
-    check_image_name(target)
-    claim([target], force=force, inputs=[image])
-
-    from cep.io.files import read_psf
-    from cep.restoration import find_method, restore
-    from cep.workflows.calibrate import check_texture
-    from cep.workflows.compare import check_resolved
-
-    find_method(method)
-    if (trajectory is None) == (psf is None):
-        raise ValueError("--trajectory FILE or --psf FILE: exactly one of them is needed")
-    if psf is not None and code is not None:
-        raise ValueError("--code: goes with --trajectory; a --psf file already holds the code")
-    options = {}
-    if camera is not None or photons is not None or read_noise is not None:
-        if method not in ("wiener", "pnp"):
-            first = "--camera" if camera is not None else "--photons" if photons is not None else "--read-noise"
-            raise ValueError(f"{first}: not valid with --method {method}; wiener and pnp use the camera")
-        options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
-    motion = None if trajectory is None else load_motion(trajectory, None).trajectory
-    if motion is not None and shutter is not None:
-        check_resolved(motion, shutter.chips)
-    kernel = None if psf is None else read_psf(psf)
-    photo = read_photo(image, gamma=gamma)
-    try:
-        check_texture(photo.pixels)
-    except ValueError as error:
-        raise ValueError(f"{image}: {error}") from None
     with progress("restoring"):
+        from cep.codes.sources import load_code
+        from cep.io.images import check_image_name, parse_gamma, read_photo
+        from cep.io.outputs import claim
+
+        parse_gamma(gamma)
+        shutter = None if code is None else load_code(code)
+        target = output or image.with_name(f"{image.stem}_sharp.png")
+        check_image_name(target)
+        claim([target], force=force, inputs=[image])
+
+        from cep.io.files import read_psf
+        from cep.restoration import find_method, restore
+        from cep.workflows.calibrate import check_texture
+        from cep.workflows.compare import check_resolved
+
+        find_method(method)
+        if (trajectory is None) == (psf is None):
+            raise ValueError("--trajectory FILE or --psf FILE: exactly one of them is needed")
+        if psf is not None and code is not None:
+            raise ValueError("--code: goes with --trajectory; a --psf file already holds the code")
+        options = {}
+        if camera is not None or photons is not None or read_noise is not None:
+            if method not in ("wiener", "pnp"):
+                first = "--camera" if camera is not None else "--photons" if photons is not None else "--read-noise"
+                raise ValueError(f"{first}: not valid with --method {method}; wiener and pnp use the camera")
+            options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
+        motion = None if trajectory is None else load_motion(trajectory, None).trajectory
+        if motion is not None and shutter is not None:
+            check_resolved(motion, shutter.chips)
+        kernel = None if psf is None else read_psf(psf)
+        photo = read_photo(image, gamma=gamma)
+        try:
+            check_texture(photo.pixels)
+        except ValueError as error:
+            raise ValueError(f"{image}: {error}") from None
         restored = restore(photo.pixels, kernel, trajectory=motion, code=shutter, method=method, **options)
-    restored.save(target, bits=photo.bits, gamma=gamma)
+        restored.save(target, bits=photo.bits, gamma=gamma)
     direction, test = restored.direction or "given by the PSF", restored.direction_test
     result = {
         "image": target,

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.cli.console import finish, progress
+from cep.cli.console import finish, part, progress
 from cep.cli.options import CameraFile, Force, Gamma, Json, Photons, ReadNoise, Seed, load_camera, output_option
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 __all__ = ["demo"]
+
+_CHAIN = (0.09, 0.77)  # where in the time of the command the chain begins and ends
 
 
 def demo(
@@ -37,28 +39,31 @@ def demo(
 
     Example: cep demo -o demo
     """
-    import numpy as np
-
-    from cep.io.images import parse_gamma, read_photo
-    from cep.io.outputs import claim_folder
-    from cep.workflows.demo import DEMO_FILES, write_demo
-    from cep.workflows.demo_chain import bundled_scene, own_photo, run_chain
-
-    parse_gamma(gamma)
-    noise = load_camera(camera, photons=photons, read_noise=read_noise)
-    claim_folder(output, DEMO_FILES, force=force)
-    started = time.perf_counter()
     with progress("starting") as tick:
+        tick(0.0, "loading")
+        import numpy as np
+
+        from cep.io.images import parse_gamma, read_photo
+        from cep.io.outputs import claim_folder
+        from cep.workflows.demo import DEMO_FILES, write_demo
+        from cep.workflows.demo_chain import bundled_scene, own_photo, run_chain
+
+        parse_gamma(gamma)
+        noise = load_camera(camera, photons=photons, read_noise=read_noise)
+        claim_folder(output, DEMO_FILES, force=force)
+        started = time.perf_counter()
         if photo is None:
             scene = bundled_scene(noise, rng=np.random.default_rng(seed))
         else:
             taken = read_photo(photo, gamma=gamma)
             scene = own_photo(str(photo), taken.pixels, warnings=taken.warnings)
         try:
-            chain = run_chain(scene, noise, seed=seed, tell=tick)
+            chain = run_chain(scene, noise, seed=seed, tell=part(tick, *_CHAIN))
         except ValueError as error:
             raise ValueError(f"{scene.name}: {error}") from None
+        tick(_CHAIN[1], "writing the report")
         figures = write_demo(output, chain, force=force)
+        tick(1.0)
     result = {**figures, "seconds": time.perf_counter() - started}
 
     def show(console: Console) -> None:

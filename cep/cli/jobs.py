@@ -58,21 +58,22 @@ def only_of_folders(where: str, workers: int | None, dask: str | None, cache: Pa
 
 def run_folder(
     cells: Sequence[Cell],
+    tick: Tick,
     *,
-    task: str,
     noun: str,
     cache: Path,
     workers: int | None,
     dask: str | None,
     write: Callable[[Result], None],
 ) -> Outcome:
-    """Run cells behind a progress bar that counts what they stand for, and write each result as soon as it is there.
+    """Run cells, tell how many of what they stand for are done, and write each result as soon as it is there.
 
     Parameters
     ----------
     cells : sequence of Cell
-    task, noun : str
-        What is done, and to what, in the plural.
+    tick : Tick
+    noun : str
+        What they stand for, in the plural.
     cache, workers, dask
         As of :func:`cep.jobs.engine.run_cells`; as many workers as cores when omitted.
     write : function
@@ -88,17 +89,16 @@ def run_folder(
             write(result)
             written.add(result.cell.name)
 
-    with progress(task) as tick:
-        outcome = run_cells(
-            cells,
-            cache=cache,
-            workers=workers or machine()["cores"] or 1,
-            dask=dask,
-            progress=lambda fraction, note: tick(fraction, note.replace("cells", noun)),
-            finished=once,
-        )
-        for result in outcome.results:
-            once(result)
+    outcome = run_cells(
+        cells,
+        cache=cache,
+        workers=workers or machine()["cores"] or 1,
+        dask=dask,
+        progress=lambda fraction, note: tick(fraction, note.replace("cells", noun)),
+        finished=once,
+    )
+    for result in outcome.results:
+        once(result)
     return outcome
 
 
@@ -271,9 +271,11 @@ class Job:
     run: Callable[[Tick], tuple[Part, Callable[[Console], None]]]
 
 
-def run_job(job: Job, *, as_json: bool) -> None:
-    """Do what a command with a single table does."""
+def run_job(plan: Callable[[], Job], *, as_json: bool) -> None:
+    """Do what a command with a single table does: plan it, which may take a while itself, and run it."""
     with progress("measuring") as tick:
+        tick(0.0, "planning")
+        job = plan()
         part, show = job.run(tick)
     finish_bench(job.about, part, show, as_json=as_json)
 

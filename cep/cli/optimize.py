@@ -76,6 +76,7 @@ __all__ = ["optimize", "optimize_folder"]
 
 
 _STANDARD_CHIPS = 52
+_SEARCH_SHARE = 0.85  # of the time; the rest compares the code
 
 
 def optimize(
@@ -168,49 +169,51 @@ def optimize(
 
     Example: cep optimize --each shots_motion --chips 40 --duty 0.4:0.6 --steps 4000000
     """
-    from dataclasses import replace
+    with progress("loading"):
+        from dataclasses import replace
 
-    from cep.io.files import StoredCode, write_code
-    from cep.io.outputs import claim
-    from cep.search.exhaustive.exact import codes_to_count
-    from cep.search.limits import RunLimits
-    from cep.search.playable import unplayable
-    from cep.search.recipe import mean_length_px
-    from cep.workflows.optimize import appraise, report, search
-    from hw.device import load_profile
+        from cep.io.files import StoredCode, write_code
+        from cep.io.outputs import claim
+        from cep.search.exhaustive.exact import codes_to_count
+        from cep.search.limits import RunLimits
+        from cep.search.playable import unplayable
+        from cep.search.recipe import mean_length_px
+        from cep.workflows.optimize import appraise, report, search
+        from hw.device import load_profile
 
-    how = search_of(method, effort, steps=steps, time_s=time_s, seed=seed)
-    wish = SearchOptions(
-        chips=chips, chip_ns=chip_ns, open_chips=open_chips, duty=duty, objective=objective, direction=direction,
-        runs=RunLimits(
-            min_open=min_open, max_open=max_open, min_closed=min_closed, min_period=min_period, max_pulses=max_pulses,
-            fixed=fixed,
-        ),
-        first_open=first_open, last_open=last_open, alternatives=alternatives, speed=speed, drift=drift,
-        jitter=jitter, rule=rule,
-    )  # fmt: skip
-    profile = None if device is None else load_profile(device)
-    light = load_camera(camera, photons=photons, read_noise=read_noise)
+        how = search_of(method, effort, steps=steps, time_s=time_s, seed=seed)
+        wish = SearchOptions(
+            chips=chips, chip_ns=chip_ns, open_chips=open_chips, duty=duty, objective=objective, direction=direction,
+            runs=RunLimits(
+                min_open=min_open, max_open=max_open, min_closed=min_closed, min_period=min_period,
+                max_pulses=max_pulses, fixed=fixed,
+            ),
+            first_open=first_open, last_open=last_open, alternatives=alternatives, speed=speed, drift=drift,
+            jitter=jitter, rule=rule,
+        )  # fmt: skip
+        profile = None if device is None else load_profile(device)
+        light = load_camera(camera, photons=photons, read_noise=read_noise)
 
-    def task(stored: StoredMotion, path: Path | None) -> Task:
-        source = {"trajectory": None if path is None else str(path), "linear_px": linear, "device": device}
-        try:
-            return task_of(wish, stored, how, camera=light, profile=profile, source=source)
-        except ValueError as error:  # of a folder it stands in the table, and never reaches the command's end
-            raise ValueError(in_options(str(error), context)) from None
+        def task(stored: StoredMotion, path: Path | None) -> Task:
+            source = {"trajectory": None if path is None else str(path), "linear_px": linear, "device": device}
+            try:
+                return task_of(wish, stored, how, camera=light, profile=profile, source=source)
+            except ValueError as error:  # of a folder it stands in the table, and never reaches the command's end
+                raise ValueError(in_options(str(error), context)) from None
 
-    if each is not None:
-        if trajectory is not None or linear is not None or frames > 1:
+        if each is None:
+            only_of_folders("--each", workers, dask, cache)
+            if trajectory is not None and trajectory.is_dir():
+                raise ValueError(f"{trajectory}: is a folder; --each FOLDER searches a code for each motion in it")
+            wanted = task(load_motion(trajectory, linear), trajectory)
+        elif trajectory is not None or linear is not None or frames > 1:
             raise ValueError("--each: takes the place of --trajectory and --linear, and searches one frame for each")
+    if each is not None:
         optimize_folder(
             each, task, how, profile=profile, chip_ns=chip_ns, workers=workers, dask=dask, cache=cache, output=output,
             force=force, as_json=as_json,
         )  # fmt: skip
         return
-    only_of_folders("--each", workers, dask, cache)
-    if trajectory is not None and trajectory.is_dir():
-        raise ValueError(f"{trajectory}: is a folder; --each FOLDER searches a code for each motion in it")
-    wanted = task(load_motion(trajectory, linear), trajectory)
     problem, described = wanted.problem, wanted.described
     file = output or Path("code.json")
     if frames > 1:
@@ -223,19 +226,22 @@ def optimize(
     claim([file], force=force, inputs=[] if trajectory is None else [trajectory])
     label = f"counting {codes_to_count(wanted.searched):.2g} codes" if method == "exact" else "searching"
     with progress(label) as tick:
+        tick(0.0)
         found = search(
             wanted.searched,
             how,
             length_px=mean_length_px(problem),
-            progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"),
+            progress=lambda fraction, best: tick(_SEARCH_SHARE * fraction, f"{best.open_chips} open"),
         )
-    code = replace(found.code, chip_ns=chip_ns)
-    if reason := unplayable(code.bits, profile, chip_ns):
-        raise ValueError(reason)
-    described = {**described, "steps": found.steps, "stopped": found.stopped, "proof": found.proof}
-    write_code(file, StoredCode(code, problem=described))  # already: Ctrl-C from here on must not lose it
-    worth = appraise(problem, code, along=wanted.along, baselines=found.baselines, effort=how.effort)
-    write_code(file, StoredCode(code, worth.ours.metrics.to_dict(), described, worth.certificate))
+        code = replace(found.code, chip_ns=chip_ns)
+        if reason := unplayable(code.bits, profile, chip_ns):
+            raise ValueError(reason)
+        described = {**described, "steps": found.steps, "stopped": found.stopped, "proof": found.proof}
+        write_code(file, StoredCode(code, problem=described))  # already: Ctrl-C from here on must not lose it
+        tick(_SEARCH_SHARE, "comparing with other codes")
+        worth = appraise(problem, code, along=wanted.along, baselines=found.baselines, effort=how.effort)
+        write_code(file, StoredCode(code, worth.ours.metrics.to_dict(), described, worth.certificate))
+        tick(1.0)
     told = report(found, worth)
     result = {
         "file": file,
@@ -321,61 +327,63 @@ def optimize_folder(
     ValueError
         If there are no motions, an output is in the way, or the options suit none of them.
     """
-    from cep.io.files import write_code
-    from cep.io.outputs import claim_folder, write_text
-    from cep.jobs.cells import Cell
-    from cep.jobs.fingerprint import source_version
-    from cep.search.playable import unplayable
-    from cep.workflows.calibrate_folder import motions_in
-    from cep.workflows.optimize import code_from_figures, optimize_motion
+    with progress("searching") as tick:
+        from cep.io.files import write_code
+        from cep.io.outputs import claim_folder, write_text
+        from cep.jobs.cells import Cell
+        from cep.jobs.fingerprint import source_version
+        from cep.search.playable import unplayable
+        from cep.workflows.calibrate_folder import motions_in
+        from cep.workflows.optimize import code_from_figures, optimize_motion
 
-    motions = motions_in(folder)
-    tasks, failures = _tasks(folder, motions, task)  # first: it tells what is wrong with the options
-    target = output or folder
-    claim_folder(target, [_SUMMARY], force=force)
-    for name in motions:
-        claim_folder(target / name, [_CODE], force=force)
-    version = source_version(["cep.workflows.optimize"])
-    cells = [
-        Cell(
-            (name,),
-            optimize_motion,
-            {
-                "problem": one.problem, "searched": one.searched, "along": one.along, "chip_ns": chip_ns, "how": how,
-            },
-            version,
+        motions = motions_in(folder)
+        tasks, failures = _tasks(folder, motions, task)  # first: it tells what is wrong with the options
+        target = output or folder
+        claim_folder(target, [_SUMMARY], force=force)
+        for name in motions:
+            claim_folder(target / name, [_CODE], force=force)
+        version = source_version(["cep.workflows.optimize"])
+        cells = [
+            Cell(
+                (name,),
+                optimize_motion,
+                {
+                    "problem": one.problem, "searched": one.searched, "along": one.along, "chip_ns": chip_ns,
+                    "how": how,
+                },
+                version,
+            )
+            for name, one in tasks.items()
+        ]  # fmt: skip
+        codes: dict[str, dict[str, Any]] = {}
+
+        def write(result: Result) -> None:
+            (name,) = result.cell.name
+            told, stored = code_from_figures(result.finished.figures, tasks[name].described)
+            if reason := unplayable(stored.code.bits, profile, stored.code.chip_ns):
+                failures[name] = reason
+                return
+            file = target / name / _CODE
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_code(file, stored)
+            warnings = warnings_of(tasks[name], how, stopped=told["stopped"], baselines=told["baselines"])
+            codes[name] = {"file": file, **told, "warnings": warnings}
+
+        outcome = run_folder(
+            cells, tick, noun="codes", cache=cache or target / "cells", workers=workers, dask=dask, write=write
         )
-        for name, one in tasks.items()
-    ]  # fmt: skip
-    codes: dict[str, dict[str, Any]] = {}
-
-    def write(result: Result) -> None:
-        (name,) = result.cell.name
-        told, stored = code_from_figures(result.finished.figures, tasks[name].described)
-        if reason := unplayable(stored.code.bits, profile, stored.code.chip_ns):
-            failures[name] = reason
-            return
-        file = target / name / _CODE
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_code(file, stored)
-        warnings = warnings_of(tasks[name], how, stopped=told["stopped"], baselines=told["baselines"])
-        codes[name] = {"file": file, **told, "warnings": warnings}
-
-    outcome = run_folder(
-        cells, task="searching", noun="codes", cache=cache or target / "cells", workers=workers, dask=dask, write=write
-    )
-    codes = {name: codes[name] for name in tasks if name in codes}
-    failures |= {name: reason for (name,), reason in outcome.failures.items()}
-    if force:
-        for name in failures:
-            discard(target / name, [_CODE])
-    rows = [
-        {"motion": name, **codes.get(name, {}), "failure": failures.get(name, "" if name in codes else NOT_REACHED)}
-        for name in motions
-    ]
-    spelt = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
-    target.mkdir(parents=True, exist_ok=True)  # nothing is in it where every motion failed
-    write_text(target / _SUMMARY, summary_csv((*_COLUMNS, *_MORE), spelt))
+        codes = {name: codes[name] for name in tasks if name in codes}
+        failures |= {name: reason for (name,), reason in outcome.failures.items()}
+        if force:
+            for name in failures:
+                discard(target / name, [_CODE])
+        rows = [
+            {"motion": name, **codes.get(name, {}), "failure": failures.get(name, "" if name in codes else NOT_REACHED)}
+            for name in motions
+        ]
+        spelt = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
+        target.mkdir(parents=True, exist_ok=True)  # nothing is in it where every motion failed
+        write_text(target / _SUMMARY, summary_csv((*_COLUMNS, *_MORE), spelt))
     finish_folder(
         {"folder": target, "summary": target / _SUMMARY, "codes": codes, "seed": how.seed},
         _COLUMNS,

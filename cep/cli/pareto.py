@@ -112,48 +112,52 @@ def pareto(
 
     Example: cep pareto --chips 52 --open 22:40 --time 60 -o front.json --plot front.png
     """
-    import math
-    from dataclasses import asdict
-
-    import numpy as np
-
-    from cep.codes.published import for_chips
-    from cep.io.files import FRONT_SCHEMA, json_text
-    from cep.io.outputs import claim, new_files, write_text
-    from cep.plots.canvas import save
-    from cep.plots.pareto import pareto_figure
-    from cep.search.fronts.front import knees
-    from cep.search.fronts.pareto import front_points, pareto_front
-    from cep.search.limits import RunLimits
-    from cep.search.problem import SearchProblem
-    from cep.workflows.optimize import STANDARD_TIME_S
-    from cep.workflows.search_options import DIRECTIONS, open_limits
-
-    if direction not in DIRECTIONS:
-        raise ValueError(f"--direction: must be one of {', '.join(DIRECTIONS)}, got {direction!r}")
-    picture = plot or output.with_suffix(".png")
-    if picture.suffix.lower() not in _FIGURES:
-        raise ValueError(f"--plot: must end in {', '.join(_FIGURES[:-1])} or {_FIGURES[-1]}, got {picture}")
-    if picture == output:
-        raise ValueError(f"--plot: must be another file than the output, got {picture}")
-    problem = SearchProblem(
-        chips=chips,
-        scenarios=_scenarios(trajectory, linear, chips),
-        open_range=open_limits(chips, open_chips, duty),
-        direction=direction,  # type: ignore[arg-type]
-        runs=RunLimits(
-            min_open=min_open, min_closed=min_closed, max_pulses=max_pulses, max_open=max_open, min_period=min_period
-        ),
-        camera=load_camera(camera, photons=photons, read_noise=read_noise),
-    )
-    limit_s = time_s if time_s is not None else STANDARD_TIME_S if steps is None else math.inf
-    claim([output, picture], force=force, inputs=[] if trajectory is None else [trajectory])
     with progress("searching") as tick:
+        import math
+        from dataclasses import asdict
+
+        import numpy as np
+
+        from cep.codes.published import for_chips
+        from cep.io.files import FRONT_SCHEMA, json_text
+        from cep.io.outputs import claim, new_files, write_text
+        from cep.plots.canvas import save
+        from cep.plots.pareto import pareto_figure
+        from cep.search.fronts.front import knees
+        from cep.search.fronts.pareto import front_points, pareto_front
+        from cep.search.limits import RunLimits
+        from cep.search.problem import SearchProblem
+        from cep.workflows.optimize import STANDARD_TIME_S
+        from cep.workflows.search_options import DIRECTIONS, open_limits
+
+        if direction not in DIRECTIONS:
+            raise ValueError(f"--direction: must be one of {', '.join(DIRECTIONS)}, got {direction!r}")
+        picture = plot or output.with_suffix(".png")
+        if picture.suffix.lower() not in _FIGURES:
+            raise ValueError(f"--plot: must end in {', '.join(_FIGURES[:-1])} or {_FIGURES[-1]}, got {picture}")
+        if picture == output:
+            raise ValueError(f"--plot: must be another file than the output, got {picture}")
+        problem = SearchProblem(
+            chips=chips,
+            scenarios=_scenarios(trajectory, linear, chips),
+            open_range=open_limits(chips, open_chips, duty),
+            direction=direction,  # type: ignore[arg-type]
+            runs=RunLimits(
+                min_open=min_open,
+                min_closed=min_closed,
+                max_pulses=max_pulses,
+                max_open=max_open,
+                min_period=min_period,
+            ),
+            camera=load_camera(camera, photons=photons, read_noise=read_noise),
+        )
+        limit_s = time_s if time_s is not None else STANDARD_TIME_S if steps is None else math.inf
+        claim([output, picture], force=force, inputs=[] if trajectory is None else [trajectory])
         front = pareto_front(problem, rng=np.random.default_rng(seed), steps=steps, time_s=limit_s, progress=tick)
-    if not front.points:
-        raise ValueError("--open: every code found of so many open chips has a zero, allow others or search longer")
-    entries = for_chips(chips)
-    published = dict(zip((e.name for e in entries), front_points(problem, (e.code for e in entries)), strict=True))
+        if not front.points:
+            raise ValueError("--open: every code found of so many open chips has a zero, allow others or search longer")
+        entries = for_chips(chips)
+        published = dict(zip((e.name for e in entries), front_points(problem, (e.code for e in entries)), strict=True))
     document = {
         "schema": FRONT_SCHEMA,
         "unit": front.unit,

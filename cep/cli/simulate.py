@@ -55,35 +55,35 @@ def simulate(
 
     Example: cep simulate sharp.png --trajectory trajectory.json --code code.json --photons 2000 -o coded.png
     """
-    import numpy as np
-
-    from cep.codes.sources import load_code
-    from cep.io.files import PSF_SUFFIXES, write_psf
-    from cep.io.images import check_image_name, parse_gamma, read_photo, write_image
-    from cep.io.outputs import claim, new_folder
-    from cep.optics.capture import capture
-    from cep.optics.code import ShutterCode
-    from cep.optics.exposure import coded_psf
-    from cep.workflows.compare import check_resolved
-    from motdiff.psf_frame import PSF_PX
-
-    parse_gamma(gamma)
-    motion = load_motion(trajectory, linear).trajectory
-    shutter = ShutterCode("1") if code is None else load_code(code)
-    check_resolved(motion, shutter.chips)
-    noise = load_camera(camera, photons=photons, read_noise=read_noise)
-    target = output or sharp.with_name(f"{sharp.stem}_{'open' if code is None else 'coded'}.png")
-    check_image_name(target)
-    stem = f"{target.stem}_psf"
-    names = [target.name, *(stem + suffix for suffix in PSF_SUFFIXES)]
-    claim([target.with_name(name) for name in names], force=force, inputs=[sharp])
-    photo = read_photo(sharp, gamma=gamma, variable="x")
     with progress("exposing"):
+        import numpy as np
+
+        from cep.codes.sources import load_code
+        from cep.io.files import PSF_SUFFIXES, write_psf
+        from cep.io.images import check_image_name, parse_gamma, read_photo, write_image
+        from cep.io.outputs import claim, new_folder
+        from cep.optics.capture import capture
+        from cep.optics.code import ShutterCode
+        from cep.optics.exposure import coded_psf
+        from cep.workflows.compare import check_resolved
+        from motdiff.psf_frame import PSF_PX
+
+        parse_gamma(gamma)
+        motion = load_motion(trajectory, linear).trajectory
+        shutter = ShutterCode("1") if code is None else load_code(code)
+        check_resolved(motion, shutter.chips)
+        noise = load_camera(camera, photons=photons, read_noise=read_noise)
+        target = output or sharp.with_name(f"{sharp.stem}_{'open' if code is None else 'coded'}.png")
+        check_image_name(target)
+        stem = f"{target.stem}_psf"
+        names = [target.name, *(stem + suffix for suffix in PSF_SUFFIXES)]
+        claim([target.with_name(name) for name in names], force=force, inputs=[sharp])
+        photo = read_photo(sharp, gamma=gamma, variable="x")
         taken = capture(photo.pixels, motion, shutter, noise, rng=np.random.default_rng(seed))
         psf = coded_psf(motion, shutter, size=motion.frame_size(PSF_PX))
-    with new_folder(target.parent, names, force=force) as made:
-        write_image(made / target.name, taken, bits=16, gamma=gamma)
-        write_psf(made, psf, stem=stem)
+        with new_folder(target.parent, names, force=force) as made:
+            write_image(made / target.name, taken, bits=16, gamma=gamma)
+            write_psf(made, psf, stem=stem)
     psf_file = target.with_name(names[1])
     result = {
         "image": target,

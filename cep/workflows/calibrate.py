@@ -136,7 +136,7 @@ def make_estimator(
         return PointEstimator()
 
     def tell(share: float) -> None:
-        progress(_LOADING[-1] + (1 - _LOADING[-1]) * share, "searching the motion")
+        progress((1 - share) * _LOADING[-1] + share, "searching the motion")
 
     progress(_LOADING[0], "loading torch")
     import_module("torch")  # half of what there is to load

@@ -95,7 +95,13 @@ def test_the_verdict_names_gains_and_losses():
 
 def test_ones_own_photo_has_no_truth(chain):
     scene = own_photo("mine.jpg", chain.scene.photo, warnings=("The transparency was dropped.",))
-    mine = run_chain(scene, CAMERA, estimator=ReferenceEstimator(chain.scene.sharp), steps=1000, chips=12)
+    told = []
+    mine = run_chain(
+        scene, CAMERA, estimator=ReferenceEstimator(chain.scene.sharp), steps=1000, chips=12,
+        tell=lambda share, _what: told.append(share),
+    )  # fmt: skip
+    assert (told[0], told[-1]) == (0, 1)
+    assert told == sorted(told)
     assert [shot.name for shot in mine.shots] == ["open shutter", "coded"]
     page = html(demo_report(mine))
     assert "stands in for the scene" in page

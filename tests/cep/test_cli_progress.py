@@ -1,0 +1,151 @@
+"""What commands show while they work: something from the first second, and a share that only grows, to the whole."""
+
+import json
+import subprocess
+import sys
+from contextlib import contextmanager
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cep.io.images import write_image
+from motdiff.estimators.base import MotionEstimate
+from motdiff.simulate import blur_valid
+from motdiff.trajectory import Trajectory
+
+BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5]])
+
+FIRST = """
+import json, sys
+from importlib.abc import MetaPathFinder
+
+SLOW = {"numpy", "cv2", "scipy", "torch", "matplotlib", "numba", "skimage", "joblib"}
+shown = {}
+
+class Terminal:
+    encoding, text = "utf-8", ""
+    def isatty(self): return True
+    def fileno(self): return 2
+    def flush(self): pass
+    def write(self, text): Terminal.text += text
+
+class Finder(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name in SLOW and name not in shown:
+            shown[name] = Terminal.text
+
+sys.meta_path.insert(0, Finder())
+sys.stderr = Terminal()
+from cep.cli.main import main
+code = main(sys.argv[1:])
+print(json.dumps({"code": code, "shown": shown, "last": Terminal.text}))
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("calibrate", "small.png"), "estimating the motion (motdiff)"),
+        (("calibrate", "small"), "estimating the motion (motdiff)"),
+        (("deblur", "blurred.png", "--trajectory", "trajectory.json", "-o", "out.txt"), "restoring"),
+        (("demo", "--photo", "small.png"), "starting"),
+        (("optimize", "--linear", "12", "--chips", "12", "--open", "13"), "loading"),
+        (("optimize", "--each", "nowhere"), "loading"),
+        (("pareto", "--chips", "12", "--open", "13"), "searching"),
+        (("bench", "--data", "nowhere", "-o", "out"), "planning"),
+        (("bench", "blind", "--data", "nowhere"), "measuring"),
+        (("bench", "codes", "nobody"), "measuring"),
+    ],
+)
+def test_something_is_shown_before_anything_slow_is_loaded(workplace, arguments, words):
+    """On a terminal, in a fresh interpreter; each command fails soon, and what it showed is gone then."""
+    write_image("small.png", np.random.default_rng(0).random((30, 30)))
+    (workplace / "small").mkdir()
+    ran = subprocess.run([sys.executable, "-c", FIRST, *arguments], capture_output=True, text=True, check=True)
+    found = json.loads(ran.stdout)
+    assert found["code"] == 2
+    assert found["shown"]
+    for module, shown in found["shown"].items():
+        assert words in shown, module
+    assert "\ncep: " in found["last"].replace("\x1b[2K", "\n")
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """Shares that commands tell, one list for each bar."""
+    bars = []
+
+    @contextmanager
+    def progress(_task):
+        bars.append([])
+        yield lambda share, _what="", /: bars[-1].append(share)
+
+    for name in ("calibrate", "optimize", "pareto", "demo", "bench", "jobs"):
+        monkeypatch.setattr(f"cep.cli.{name}.progress", progress)
+    return bars
+
+
+def rises(shares):
+    assert shares[0] == 0
+    assert shares == sorted(shares)
+    assert shares[-1] == 1
+
+
+@pytest.fixture
+def quick_blind(monkeypatch):
+    """Blind estimators whose work is a few shares."""
+
+    def make(*, progress, **_options):
+        def estimate(_photo):
+            for share in (0.3, 0.8, 1.0):
+                progress(share)
+            return MotionEstimate("blind", (BENT,), (1.0,), BENT.psf(64), 0.5)
+
+        return SimpleNamespace(estimate=estimate)
+
+    monkeypatch.setattr("motdiff.estimators.motdiff.MotDiffEstimator", make)
+    monkeypatch.setattr("motdiff.estimators.pmp.PmpEstimator", make)
+
+
+GYRO = ("--gyro", "gyro.csv", "--focal", "500", "--start", "0.2", "--exposure", "0.1")
+
+
+@pytest.mark.parametrize(
+    ("method", "more"),
+    [("motdiff", ()), ("pmp", ()), ("reference", ("--sharp", "sharp.png")), ("point", ()), ("gyro", GYRO)],
+)
+def test_the_share_of_a_calibration_rises_to_one(cep, workplace, told, quick_blind, method, more):
+    light = np.zeros((120, 120))
+    light[60, 60] = 60.0
+    write_image("light.png", np.clip(blur_valid(light, BENT.psf(33)), 0, 1))
+    lines = ["t,x,y,z", *(f"{t / 100},0.1,0.2,0" for t in range(101))]
+    (workplace / "gyro.csv").write_text("\n".join(lines) + "\n")
+    photo = "light.png" if method == "point" else "blurred.png"
+    cep.succeeds("calibrate", photo, "--method", method, *more, "-o", "motion")
+    (shares,) = told
+    rises(shares)
+    assert max(np.diff(shares)) < 0.6
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--linear", "12", "--chips", "12", "--steps", "3000"),
+        ("--linear", "12", "--chips", "12", "--method", "exact"),
+        ("--linear", "12", "--chips", "3", "--fixed", "101", "--steps", "3000"),  # no other code: nothing to search
+    ],
+)
+def test_the_share_of_a_search_rises_to_one(cep, workplace, told, options):
+    cep.succeeds("optimize", *options, "-o", "found.json")
+    _, shares = told
+    rises(shares)
+
+
+def test_the_share_of_a_folder_counts_its_photos(cep, workplace, told, quick_blind):
+    (workplace / "shots").mkdir()
+    for name in "abc":
+        write_image(f"shots/{name}.png", np.random.default_rng(ord(name)).random((80, 80)))
+    cep.succeeds("calibrate", "shots", "--workers", "1")
+    (shares,) = told
+    assert shares == pytest.approx([0, 1 / 3, 2 / 3, 1])
