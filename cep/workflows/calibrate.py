@@ -37,7 +37,7 @@ CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.pn
 """What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field."""
 
 _LEAST_CONTRAST = 2 / 255
-_LOADING = (0.1, 0.2, 0.33)  # of an estimate's share: torch is on its way, is there, and so is the estimator
+_LOADING = (0.12, 0.3, 0.38)  # of an estimate's share: torch is on its way, is there, and so is the estimator
 _NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}}
 _ALLOWED = {"motdiff": {"samples", "quick"}, "gyro": {"rate_unit"}}
 
