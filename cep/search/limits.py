@@ -28,6 +28,7 @@ __all__ = [
     "conflicting",
     "feasible",
     "fixed_mask",
+    "nearest",
 ]
 
 
@@ -307,7 +308,8 @@ def checked_mask(fixed: str | None, chips: int) -> str | None:
     return None if set(fixed) == {"?"} else fixed
 
 
-_NEVER = 1 << 30  # pulses of a code that does not exist
+_NEVER = 1 << 30  # pulses, or changes, of a code that does not exist
+_MOST_NUMBERS = 3 * 2**22  # of a table: 96 MB
 
 
 @lru_cache(maxsize=64)
@@ -393,3 +395,52 @@ def _fewest_pulses(limits: Limits) -> NDArray[np.int64]:
                     target = fewest[state, i, opened:]
                     np.minimum(target, fewest[then, i + opened + closed, : n + 1 - opened] + pulses, out=target)
     return np.asarray(np.minimum(fewest[CLOSED, 0], _NEVER), dtype=np.int64)
+
+
+def nearest(limits: Limits, code: NDArray[np.integer] | BoolArray) -> NDArray[np.int8] | None:
+    """Find the code within feasible limits that differs from a code (n,) in the fewest chips: a cheapest walk.
+
+    Returns
+    -------
+    (n,) int8 of 0 and 1, or None
+        None where the walk's table would exceed 12 million numbers, as for 512 chips and 16 pulses.
+
+    Examples
+    --------
+    >>> nearest(Limits(6, (2, 3), RunLimits(min_open=2)), np.array([1, 0, 1, 1, 0, 1])).tolist()
+    [0, 0, 1, 1, 0, 0]
+    """
+    n, steps, high = limits.chips, limits.steps(), limits.open_range[1]
+    most = limits.most_pulses or 0  # 0: nothing moves along the axis of pulses
+    if 3 * (n + 1) * (high + 1) * (most + 1) > _MOST_NUMBERS:
+        return None
+    opened_before = np.concatenate([[0], np.cumsum(np.asarray(code) != 0)])
+
+    def changes(i: int, step: Step) -> int:
+        middle, end = i + step.opened, n if step.then == OVER else i + step.opened + step.closed
+        already_open = opened_before[middle] - opened_before[i]
+        return int(step.opened - already_open + opened_before[end] - opened_before[middle])
+
+    cost = np.full((3, n + 1, high + 1, most + 1), _NEVER, dtype=np.int64)  # state, position, open chips, pulses left
+    cost[OVER, limits.rest(), 0] = 0  # what follows is counted by the step that leads there
+    for i in reversed(range(n + 1)):
+        for state in (CLOSED, OPEN):
+            for step in steps[state]:
+                if step.fits[i] and step.opened <= high:
+                    starts, after = min(step.pulses, most), i + step.opened + step.closed
+                    target = cost[state, i, step.opened :, starts:]
+                    found = cost[step.then, after, : high + 1 - step.opened, : most + 1 - starts] + changes(i, step)
+                    np.minimum(target, found, out=target)
+    k = max(limits.open_range[0], 1)
+    k += int(cost[CLOSED, 0, k:, most].argmin())
+    state, i, left, near = CLOSED, 0, most, np.zeros(n, dtype=np.int8)
+    while state != OVER:
+        for step in steps[state]:
+            starts, after = min(step.pulses, most), i + step.opened + step.closed
+            if not step.fits[i] or step.opened > k or starts > left:
+                continue
+            if cost[step.then, after, k - step.opened, left - starts] + changes(i, step) == cost[state, i, k, left]:
+                near[i : i + step.opened] = 1
+                state, i, k, left = step.then, after, k - step.opened, left - starts
+                break
+    return near

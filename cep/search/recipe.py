@@ -1,8 +1,9 @@
 """The one recipe of a search: codes that would be used anyway, annealing from those within the limits, the best of all.
 
-What a code is compared with is computed first. Whatever of it keeps the problem's limits is a start of the annealing,
-and the code returned is the best of what the search found and of them, by the problem's objective with its minima over
-the continuum. So no code within the limits that a table shows beats the one returned.
+What a code is compared with is computed first. The annealing starts from whatever of it keeps the problem's limits, and
+from the nearest code to each other one. The code returned is the best of what the search found and of what it is
+compared with, by the problem's objective with its minima over the continuum. So no code within the limits that a table
+shows beats it.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import Stopped, anneal
 from cep.search.dnf import dnf_search
 from cep.search.light import best_snapshot, best_strobe, random_codes
+from cep.search.limits import nearest
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
@@ -142,7 +144,7 @@ def search_code(
             rng=for_search,
             steps=steps,
             time_s=left_s,
-            start=[*(one.code for one in known if one.within_limits), *start],
+            start=[*_starts(problem, known), *start],
             progress=progress,
             threads=threads,
             judge=judge,
@@ -153,6 +155,16 @@ def search_code(
         cost, moves, stopped = judge.exact_cost(code), 0, "interrupted"
     code, cost = best_of(code, cost, known)
     return Found(code, cost, moves, time.monotonic() - began, stopped, known)
+
+
+def _starts(problem: SearchProblem, known: Iterable[Baseline]) -> list[ShutterCode]:
+    """Return the baselines within the limits, and of each other one the nearest code that keeps them."""
+    codes = []
+    for one in known:
+        near = one.code.array != 0 if one.within_limits else nearest(problem.limits, one.code.array != 0)
+        if near is not None:
+            codes.append(ShutterCode.from_array(near))
+    return codes
 
 
 def judge_of(problem: SearchProblem) -> Objective:

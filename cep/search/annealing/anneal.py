@@ -210,7 +210,7 @@ def _crews(problem: SearchProblem, coarse: Objective, free: NDArray[np.intp], th
 def _plans(
     problem: SearchProblem, elites: _Elites, moves: int, rng: np.random.Generator, *, first: bool
 ) -> list[Cooling | Walks]:
-    """Plan a round: chains that cool from everything given, from the best and from anywhere, others that walk."""
+    """Plan a round: chains that cool from the best so far and from anywhere, others that walk."""
     hot = hottest_db(problem)
     walks = 0
     if not (first or problem.limits_runs or problem.chips**2 // 4 > MOST_SWAPS):
@@ -219,7 +219,7 @@ def _plans(
     cooled = CHAINS - walks
     codes = problem.random_codes(cooled, rng=rng).astype(np.int8)
     best = elites.ranked()
-    kept = min(len(best), cooled if first else cooled // 2)
+    kept = min(len(best), cooled // 2)  # the others from anywhere: starts may all lie in one valley
     codes[:kept] = best[:kept]
     seeds = [int(seed) for seed in rng.integers(1, 2**62, CHAINS)]
     heats = [hot if first or index >= kept else REHEATED * hot for index in range(cooled)]

@@ -20,6 +20,7 @@ from cep.search.limits import (
     conflicting,
     feasible,
     fixed_mask,
+    nearest,
 )
 from cep.search.sampling import draw, log_count
 
@@ -177,6 +178,21 @@ def test_too_large_a_table_tilts_towards_fewer_pulses_and_keeps_the_limits(monke
     assert pulses[0] <= pulses[1] + 0.1
     with pytest.raises(ValueError, match="too many to count"):
         log_count(limits)
+
+
+@given(some_limits(), st.text("01", min_size=10, max_size=10))
+@settings(max_examples=150, deadline=None)
+def test_the_nearest_code_within_limits_is_that_of_brute_force(limits, bits):
+    kept, bits = every_code(limits), bits[: limits.chips]
+    if not kept:
+        return
+    near = "".join(map(str, nearest(limits, np.array([int(bit) for bit in bits]))))
+    assert near in kept
+
+    def apart(one):
+        return sum(a != b for a, b in zip(one, bits, strict=True))
+
+    assert apart(near) == min(map(apart, kept))
 
 
 @given(some_limits(most_chips=9))
