@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from cep.optics.capture import capture
     from cep.optics.code import ShutterCode
     from cep.optics.exposure import coded_psf, mtf
+    from cep.proofs.audit import audit
     from cep.proofs.certify.certificate import certify
     from cep.proofs.verify.certificates import verify
     from cep.restoration.direction import detect_direction
@@ -45,6 +46,7 @@ __all__ = [
     "ShutterCode",
     "Trajectory",
     "__version__",
+    "audit",
     "bound",
     "capture",
     "certify",
@@ -65,6 +67,7 @@ _MODULES = {
     "SearchProblem": "cep.search.problem",
     "ShutterCode": "cep.optics.code",
     "Trajectory": "motdiff.trajectory",
+    "audit": "cep.proofs.audit",
     "bound": "cep.search.bounding.bounds",
     "capture": "cep.optics.capture",
     "certify": "cep.proofs.certify.certificate",

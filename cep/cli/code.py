@@ -19,7 +19,6 @@ from cep.cli.options import (
     ReadNoise,
     Seed,
     TrajectoryFile,
-    code_figures,
     load_camera,
     load_motion,
     output_option,
@@ -30,11 +29,11 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from cep.proofs.audit import Audit
     from cep.proofs.verify.certificates import Verdict
 
 __all__ = ["audit", "mtf"]
 
-_LONG_CHIPS = 256  # beyond it three flips take minutes
 _SHOWN = 12  # zeros listed for people
 
 
@@ -74,90 +73,61 @@ def audit(
     from cep.codes.sources import find_code
     from cep.io.files import json_text
     from cep.io.outputs import claim, write_text
-    from cep.proofs.audit import better_neighbours, grid_claims, null_threshold, zeros_by_direction
-    from cep.proofs.certify.certificate import certify
+    from cep.proofs.audit import audit as audited
     from cep.proofs.verify.certificates import verify
-    from cep.workflows.compare import check_frame, check_resolved, judge
-    from motdiff.trajectory import Trajectory
 
     stored = find_code(code, chip_ns=chip_ns)
-    shutter = stored.code
     noise = load_camera(camera, photons=photons, read_noise=read_noise)
     stated = trajectory is not None or linear is not None
-    motion = load_motion(trajectory, linear).trajectory if stated else Trajectory.straight(float(shutter.chips))
-    check_frame(motion)
-    check_resolved(motion, shutter.chips)
+    motion = load_motion(trajectory, linear).trajectory if stated else None
     claim([output] if output else [], force=force)
-    metrics = judge(motion, shutter, camera=noise)
-    # straight motion of constant speed: the code's polynomial decides, whatever the length
-    where = None if metrics.min_chip is not None else motion
-    far = flips if flips is not None else 3 if shutter.chips <= _LONG_CHIPS else 2
-    with progress("proving the minimum"):
-        minimum = certify(shutter, where)
-        zeros = zeros_by_direction(shutter, where)
-        grids = grid_claims(shutter, where, minimum.upper)
-    with progress("looking at neighbours"):
-        neighbours = better_neighbours(shutter, where, flips=far)
+    with progress("auditing") as tick:
+        found = audited(stored.code, motion, camera=noise, flips=flips, progress=tick)
     verdict = None
     if stored.certificate:
-        path = (motion.t.tolist(), motion.xy.tolist()) if stated else None
-        verdict = verify(stored.certificate, bits=shutter.bits, path=path)
-    is_null = minimum.upper < null_threshold(shutter, where)
+        path = None if motion is None else (motion.t.tolist(), motion.xy.tolist())
+        verdict = verify(stored.certificate, bits=stored.code.bits, path=path)
+    minimum, straight = found.certificate, found.along is None
     has = "has" if minimum.upper == 0 else "nearly has"
-    warnings = [f"the code {has} a zero at {_place(minimum.at, where is None)}"] if is_null else []
+    warnings = [f"the code {has} a zero at {_place(minimum.at, straight)}"] if found.null else []
     if verdict is not None and not verdict.holds:
         warnings.append(f"{code}: its certificate is not confirmed: {verdict.reasons[-1]}")
-    elif verdict is not None and where is not None and not _covers(stored.certificate, minimum.directions):
+    elif verdict is not None and not straight and not _covers(stored.certificate, minimum.directions):
         warnings.append(f"{code}: its certificate does not cover this motion, {' and '.join(minimum.directions)}")
-    result = {
-        **code_figures(shutter),
-        **metrics.to_dict(),
-        "motion": {"length_px": motion.length_px, "direction": motion.direction},
-        # the path is the one that was asked for
-        "certificate": {name: value for name, value in minimum.to_dict().items() if name != "trajectory"},
-        "lowest_at": minimum.at,
-        "null": is_null,
-        "zeros": [
-            {"direction": way, **zero.to_dict(), "method": zero.method}
-            for way, them in zeros.items()
-            for zero in them.found
-        ],
-        "zeros_complete": all(them.complete for them in zeros.values()),
-        "grids": grids,
-        "neighbours": [{"flips": n.flips, "bits": n.code.bits, "minimum": n.minimum} for n in neighbours],
-        "verified": verdict,
-        "seed": seed,
-        "warnings": warnings,
-    }
+    result = {**found.to_dict(), "verified": verdict, "seed": seed, "warnings": warnings}
     if output:
         write_text(output, json_text(result))
+    finish(result, as_json=as_json, show=lambda console: _show(console, found, verdict, stated=stated))
 
-    def show(console: Console) -> None:
-        console.print(f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings: {shutter.bits}")
-        console.print(
-            f"motion: {motion.length_px:.1f} px, direction {motion.direction}" + ("" if stated else " (1 px a chip)")
-        )
-        rows = [(name, metrics.in_words(name)) for name in metrics.to_dict()]
-        console.print(table("", ("figure", "value"), rows))
-        what, place = ("|P|", "chips") if where is None else ("|H|", "light-true"), _place(minimum.at, where is None)
-        # as they are: an upper bound of 1e-13 is no proven zero
-        console.print(f"smallest {what[0]}: {minimum.lower:.6g} .. {minimum.upper:.6g} ({what[1]}) at {place}")
-        console.print(f"proof: {minimum.method}" + ("" if verdict is None else _in_words(verdict)))
-        for way, them in zeros.items():
-            known = "" if them.complete else " or more"
-            console.print(f"true zeros{'' if way == 'both' else ' ' + way}: {len(them.found)}{known}")
-            for zero in them.found[:_SHOWN]:
-                console.print(f"  {_place(zero.at, where is None)}, {zero.method}")
-            if len(them.found) > _SHOWN:
-                console.print(f"  and {len(them.found) - _SHOWN} more: --json lists them")
-        console.print(table("what grids say", ("grid", "minimum", ""), [(g.name, g.minimum, g.verdict) for g in grids]))
-        rows_near = [(", ".join(map(str, n.flips)), n.minimum, n.code.bits) for n in neighbours]
-        if rows_near:
-            console.print(table("better codes nearby", ("flip chips", "minimum", "bits"), rows_near))
-        else:
-            console.print(f"no better code was found within {far} flips")
 
-    finish(result, as_json=as_json, show=show)
+def _show(console: Console, found: Audit, verdict: Verdict | None, *, stated: bool) -> None:
+    """Print an audit for people."""
+    shutter, motion, minimum, straight = found.code, found.trajectory, found.certificate, found.along is None
+    console.print(f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings: {shutter.bits}")
+    console.print(
+        f"motion: {motion.length_px:.1f} px, direction {motion.direction}" + ("" if stated else " (1 px a chip)")
+    )
+    rows = [(name, found.metrics.in_words(name)) for name in found.metrics.to_dict()]
+    console.print(table("", ("figure", "value"), rows))
+    what, unit = ("|P|", "chips") if straight else ("|H|", "light-true")
+    # as they are: an upper bound of 1e-13 is no proven zero
+    place = _place(minimum.at, straight)
+    console.print(f"smallest {what}: {minimum.lower:.6g} .. {minimum.upper:.6g} ({unit}) at {place}")
+    console.print(f"proof: {minimum.method}" + ("" if verdict is None else _in_words(verdict)))
+    for way, zeros in found.zeros.items():
+        known = "" if zeros.complete else " or more"
+        console.print(f"true zeros{'' if way == 'both' else ' ' + way}: {len(zeros.found)}{known}")
+        for zero in zeros.found[:_SHOWN]:
+            console.print(f"  {_place(zero.at, straight)}, {zero.method}")
+        if len(zeros.found) > _SHOWN:
+            console.print(f"  and {len(zeros.found) - _SHOWN} more: --json lists them")
+    grids = [(claim.name, claim.minimum, claim.verdict) for claim in found.grids]
+    console.print(table("what grids say", ("grid", "minimum", ""), grids))
+    near = [(", ".join(map(str, one.flips)), one.minimum, one.code.bits) for one in found.neighbours]
+    if near:
+        console.print(table("better codes nearby", ("flip chips", "minimum", "bits"), near))
+    else:
+        console.print(f"no better code was found within {found.flips} flips")
 
 
 def mtf(
@@ -179,8 +149,9 @@ def mtf(
     from cep.codes.sources import code_label, load_code
     from cep.io.outputs import claim
     from cep.optics.code import ShutterCode
+    from cep.optics.path_limits import check_frame, check_resolved
     from cep.plots import check_figure_name, mtf_curve, mtf_figure, save
-    from cep.workflows.compare import check_frame, check_resolved, judge
+    from cep.proofs.measure import measure_worst
 
     check_figure_name(output)
     motion = load_motion(trajectory, linear).trajectory
@@ -198,7 +169,7 @@ def mtf(
     curves, rows = {}, []
     for label, shutter in shutters.items():
         freq_cy_px, values = mtf_curve(motion, shutter)
-        metrics = judge(motion, shutter or ShutterCode("1"))
+        metrics = measure_worst(motion, shutter or ShutterCode("1"))
         rows.append((label, *(metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db"))))
         curves[label] = {
             "bits": None if shutter is None else shutter.bits,

@@ -84,9 +84,9 @@ def deblur(
         claim([target], force=force, inputs=[image])
 
         from cep.io.files import read_psf
+        from cep.optics.path_limits import check_resolved
         from cep.restoration import find_method, restore
         from cep.workflows.calibrate import check_texture
-        from cep.workflows.compare import check_resolved
 
         find_method(method)
         if (trajectory is None) == (psf is None):

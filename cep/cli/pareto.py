@@ -247,8 +247,8 @@ def _figures(point: FrontPoint) -> dict[str, Any]:
 
 
 def _scenarios(trajectory: Path | None, linear: float | None, chips: int) -> tuple[Any, ...]:
+    from cep.optics.path_limits import check_frame, check_resolved
     from cep.search.problem import Scenario
-    from cep.workflows.compare import check_frame, check_resolved
 
     if trajectory is None and linear is None:
         return ()

@@ -65,7 +65,7 @@ def simulate(
         from cep.optics.capture import capture
         from cep.optics.code import ShutterCode
         from cep.optics.exposure import coded_psf
-        from cep.workflows.compare import check_resolved
+        from cep.optics.path_limits import check_resolved
         from motdiff.psf_frame import PSF_PX
 
         parse_gamma(gamma)

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
 from cep.optics.band import band, band_samples
+from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis, mtf
+from cep.optics.path_limits import check_frame, check_resolved
+from cep.proofs.certify.certificate import Certificate, certify
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.proofs.certify.zeros import Zeros, zeros_along, zeros_of_code
+from cep.proofs.measure import CodeMetrics, measure_worst
 from motdiff.trajectory import Trajectory
 
 __all__ = [
+    "Audit",
     "GridClaim",
     "Neighbour",
+    "audit",
     "better_neighbours",
     "grid_claims",
     "null_threshold",
@@ -27,6 +35,7 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_LONG_CHIPS = 256  # beyond it three flips take minutes
 _REFINED = 24  # candidates of the grid whose minimum over the continuum is found
 _WORTH = 1.001  # a neighbour must be better by more than rounding
 _HONEST = 1.05  # a grid's value within 5 % of the truth
@@ -70,6 +79,123 @@ class GridClaim:
     points: int
     minimum: float
     verdict: str
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What is true of a code along a motion.
+
+    Attributes
+    ----------
+    code : ShutterCode
+    trajectory : Trajectory
+        The motion; a straight one of 1 px a chip where none was given.
+    along : Trajectory or None
+        What the proofs are about: None is the unit circle of the code's polynomial, which decides along uniform
+        straight motions.
+    metrics : CodeMetrics
+        Of the worse direction where it is unknown.
+    certificate : Certificate
+        Proven bounds of the smallest MTF.
+    zeros : mapping of direction to Zeros
+    grids : tuple of GridClaim
+        Minima that common frequency grids show.
+    neighbours : tuple of Neighbour
+        Better codes few flips away, best first for each number of flips.
+    flips : int
+        Most chips changed in looking for them.
+    """
+
+    code: ShutterCode
+    trajectory: Trajectory
+    along: Trajectory | None
+    metrics: CodeMetrics
+    certificate: Certificate
+    zeros: Mapping[str, Zeros]
+    grids: tuple[GridClaim, ...]
+    neighbours: tuple[Neighbour, ...]
+    flips: int
+
+    @property
+    def null(self) -> bool:
+        """Whether the code has, for every practical purpose, a zero."""
+        return self.certificate.upper < null_threshold(self.code, self.along)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON, as ``cep audit --json`` prints them."""
+        return {
+            "bits": self.code.bits,
+            "chips": self.code.chips,
+            "open": self.code.open_chips,
+            "duty": self.code.duty,
+            **self.metrics.to_dict(),
+            "motion": {"length_px": self.trajectory.length_px, "direction": self.trajectory.direction},
+            # the path is the one that was asked for
+            "certificate": {name: value for name, value in self.certificate.to_dict().items() if name != "trajectory"},
+            "lowest_at": self.certificate.at,
+            "null": self.null,
+            "zeros": [
+                {"direction": way, **zero.to_dict(), "method": zero.method}
+                for way, zeros in self.zeros.items()
+                for zero in zeros.found
+            ],
+            "zeros_complete": all(zeros.complete for zeros in self.zeros.values()),
+            "grids": self.grids,
+            "neighbours": [{"flips": n.flips, "bits": n.code.bits, "minimum": n.minimum} for n in self.neighbours],
+        }
+
+
+def audit(
+    code: ShutterCode,
+    trajectory: Trajectory | None = None,
+    *,
+    camera: Camera | None = None,
+    flips: int | None = None,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+) -> Audit:
+    """Measure a code, prove its minimum, list its zeros and the grids that hide them, and look for better neighbours.
+
+    Parameters
+    ----------
+    code : ShutterCode
+    trajectory : Trajectory, optional
+        A straight one of 1 px a chip when omitted.
+    camera : Camera, optional
+        For the expected error; ``Camera()`` when omitted.
+    flips : int, optional
+        Look for better codes up to so many flips away, 0..3; 3 when omitted, of more than 256 chips 2.
+    progress : callable, optional
+        Called with the finished share, 0..1, and what comes next.
+
+    Raises
+    ------
+    ValueError
+        If the path cannot be measured, or is too short for so many chips.
+
+    Examples
+    --------
+    A published code whose claimed minimum of 0.088 is a true zero:
+
+    >>> from cep.codes.published import published
+    >>> found = audit(published("merl-31-t62").code, flips=1)
+    >>> found.null, found.grids[0].verdict
+    (True, 'hides the zero')
+    """
+    motion = Trajectory.straight(float(code.chips)) if trajectory is None else trajectory
+    check_frame(motion)
+    check_resolved(motion, code.chips)
+    far = flips if flips is not None else 3 if code.chips <= _LONG_CHIPS else 2
+    progress(0.0, "measuring")
+    metrics = measure_worst(motion, code, camera=camera)
+    along = None if metrics.min_chip is not None else motion
+    progress(0.1, "proving the minimum")
+    certificate = certify(code, along)
+    zeros = zeros_by_direction(code, along)
+    grids = grid_claims(code, along, certificate.upper)
+    progress(0.5, "looking at neighbours")
+    neighbours = better_neighbours(code, along, flips=far)
+    progress(1.0, "")
+    return Audit(code, motion, along, metrics, certificate, zeros, grids, neighbours, far)
 
 
 def null_threshold(code: ShutterCode, trajectory: Trajectory | None) -> float:

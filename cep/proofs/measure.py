@@ -17,7 +17,7 @@ from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from motdiff.trajectory import Trajectory
 
-__all__ = ["CodeMetrics", "measure", "worst_of"]
+__all__ = ["CodeMetrics", "measure", "measure_worst", "worst_of"]
 
 _ZERO = 1e-12  # |H| below this is rounding
 
@@ -139,3 +139,12 @@ def worst_of(*metrics: CodeMetrics) -> CodeMetrics:
         return float(min(values) if name in higher_is_better else max(values))
 
     return CodeMetrics(**{field.name: worst(field.name) for field in fields(CodeMetrics)})
+
+
+def measure_worst(trajectory: Trajectory, code: ShutterCode, *, camera: Camera | None = None) -> CodeMetrics:
+    """Measure a code along a trajectory; when its direction is unknown, each figure is that of the worse one."""
+    forward = measure(trajectory, code, camera=camera)
+    mirror_image = trajectory.direction == "known" or uniform_length_px(trajectory) is not None
+    if mirror_image or code.bits == code.bits[::-1]:
+        return forward
+    return worst_of(forward, measure(trajectory.reversed(), code, camera=camera))

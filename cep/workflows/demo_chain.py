@@ -13,13 +13,14 @@ from cep.optics.camera import LIGHT_LEVELS, Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
+from cep.optics.path_limits import check_resolved
 from cep.proofs.measure import CodeMetrics
 from cep.restoration import restore
 from cep.restoration.direction import DirectionResult, detect_direction
 from cep.search.problem import SearchProblem, open_range_of_duty
 from cep.search.recipe import Found
 from cep.workflows.calibrate import calibrate, check_photo, make_estimator
-from cep.workflows.compare import BaselineRow, check_resolved, compare, expected_psnr_db
+from cep.workflows.compare import BaselineRow, compare, expected_psnr_db
 from cep.workflows.optimize import Search, search
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate

@@ -253,7 +253,7 @@ def task_of(
     """
     import numpy as np
 
-    from cep.workflows.compare import check_frame, check_resolved
+    from cep.optics.path_limits import check_frame, check_resolved
 
     motion = stored.trajectory
     for path in (motion, *(path for _, path in stored.alternatives if wish.alternatives)):

@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
+from cep.optics.path_limits import check_resolved
 from cep.optics.response import ShutterResponse
-from cep.proofs.measure import measure
+from cep.proofs.measure import measure, measure_worst
 from cep.search.limits import RunLimits
 from cep.search.playable import limits_of_device, response_of_device
 from cep.search.problem import SearchProblem
-from cep.workflows.compare import check_resolved, expected_psnr_db, judge
+from cep.workflows.compare import expected_psnr_db
 from hw.device import DeviceProfile, load_profile
 from hw.program import Program
 from motdiff.trajectory import Trajectory
@@ -26,10 +27,10 @@ CODE = ShutterCode("110100011")
 def test_an_unknown_direction_is_judged_by_the_worse_one():
     forward, reverse = measure(BENT, CODE), measure(BENT.reversed(), CODE)
     assert forward.mse_db != pytest.approx(reverse.mse_db)
-    judged = judge(BENT, CODE)
+    judged = measure_worst(BENT, CODE)
     assert judged.mse_db == max(forward.mse_db, reverse.mse_db)
     assert judged.min_mtf == min(forward.min_mtf, reverse.min_mtf)
-    assert judge(Trajectory(BENT.t, BENT.xy, "known"), CODE) == forward
+    assert measure_worst(Trajectory(BENT.t, BENT.xy, "known"), CODE) == forward
 
 
 def test_resolution_ends_at_a_quarter_pixel():
@@ -54,7 +55,7 @@ def test_expected_psnr_is_that_of_the_metrics():
     table = expected_psnr_db(problem, codes, photons=(1e3, 1e4))
     assert table.shape == (2, 2)
     for row, code in zip(table, codes, strict=True):
-        assert -row[1] == pytest.approx(judge(BENT, code, camera=Camera()).mse_db, abs=0.02)
+        assert -row[1] == pytest.approx(measure_worst(BENT, code, camera=Camera()).mse_db, abs=0.02)
         assert row[1] > row[0]  # more light never hurts
 
 

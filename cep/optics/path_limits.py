@@ -1,0 +1,62 @@
+"""Limits on paths: too wide or too dense to be measured, or too short to tell so many chips apart."""
+
+from __future__ import annotations
+
+from cep.optics.band import stays_in_place, uniform_length_px
+from motdiff.trajectory import Trajectory
+
+__all__ = ["FINEST_CHIP_PX", "LARGEST_FRAME_PX", "MOST_SAMPLES", "check_frame", "check_resolved"]
+
+FINEST_CHIP_PX = 0.25
+"""Shortest mean displacement per chip, px: the pitch of the HR map. Chips below it differ by nothing a pixel sees."""
+
+LARGEST_FRAME_PX = 2048
+"""Widest PSF frame, px, of a bent path that is measured: the work grows with its area."""
+
+MOST_SAMPLES = 20_000
+"""Most samples of a bent path that is measured: the work grows with them, to half a minute of a code's figures."""
+
+
+def check_frame(trajectory: Trajectory) -> None:
+    """Refuse a bent path too wide or too dense to be measured; a uniform straight one has a formula for any length.
+
+    Raises
+    ------
+    ValueError
+        If the PSF would need a frame of more than :data:`LARGEST_FRAME_PX`, or there are more samples than
+        :data:`MOST_SAMPLES`.
+    """
+    if uniform_length_px(trajectory) is not None:
+        return
+    if trajectory.t.size > MOST_SAMPLES:
+        raise ValueError(
+            f"trajectory: the path has {trajectory.t.size} samples, at most {MOST_SAMPLES} can be measured; "
+            "give fewer, the noise between them is not the camera's motion"
+        )
+    frame = trajectory.frame_size()
+    if frame > LARGEST_FRAME_PX:
+        raise ValueError(
+            f"trajectory: the path needs a PSF of {frame} px around its zero, at most {LARGEST_FRAME_PX} can be handled"
+        )
+
+
+def check_resolved(trajectory: Trajectory, chips: int) -> None:
+    """Refuse a code with more chips than the path can tell apart.
+
+    Raises
+    ------
+    ValueError
+        If a chip covers less than a quarter of a pixel on average; the line says how many chips would do, or how long
+        a path where there is none.
+    """
+    if chips > 1 and stays_in_place(trajectory):
+        raise ValueError(
+            f"trajectory: the path stays in place, a code of {chips} chips needs a motion of at least "
+            f"{chips * FINEST_CHIP_PX:g} px ({FINEST_CHIP_PX} px each)"
+        )
+    most = max(1, int(trajectory.length_px / FINEST_CHIP_PX))
+    if chips > most:
+        raise ValueError(
+            f"chips: {chips} chips are too many for a path of {trajectory.length_px:.1f} px, "
+            f"at most {most} can be resolved ({FINEST_CHIP_PX} px each)"
+        )
