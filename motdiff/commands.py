@@ -239,7 +239,7 @@ def _add_eval(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.add_argument("--levin", type=Path, metavar="DIR", help="Levin's .mat files: adds the set levin")
     parser.add_argument(
         "--method", dest="methods", action="append", default=[], metavar="METHOD",
-        help="pmp, motdiff, motdiff-quick, network (one draw as it is) or network:SAMPLER:STEPS, parametric or "
+        help="pmp, motdiff, network (one draw as it is) or network:SAMPLER:STEPS, parametric or "
         "psf-diffusion (baselines of other representations), selfdeblur[:ITERATIONS] or blinddps:FOLDER (hours per "
         "photo); repeatable; pmp and motdiff when omitted",
     )  # fmt: skip

@@ -104,10 +104,6 @@ def calibrate(
             help="Motions to draw; 8 when omitted, more add next to nothing.",
         ),
     ] = None,
-    quick: Annotated[
-        bool,
-        typer.Option("--quick", help="In three quarters of the time, less exact.", rich_help_panel=_WITH_MOTDIFF),
-    ] = False,
     gamma: Gamma = "srgb",
     workers: Workers = None,
     dask: Dask = None,
@@ -127,7 +123,7 @@ def calibrate(
     Example: cep calibrate shots -o shots_motion --workers 4
     """
     options = {
-        "samples": samples, "quick": quick or None, "sharp": sharp, "gyro": gyro, "focal_px": focal,
+        "samples": samples, "sharp": sharp, "gyro": gyro, "focal_px": focal,
         "start_s": start, "exposure_s": exposure, "rate_unit": gyro_unit,
     }  # fmt: skip
     if image.is_dir():
@@ -167,7 +163,6 @@ def calibrate(
             estimator = make_estimator(
                 method,
                 samples=samples,
-                quick=quick or None,
                 seed=seed,
                 sharp=sharp_photo,
                 gyro=recording,
@@ -279,7 +274,7 @@ def calibrate_folder(
                 (label,),
                 estimate_photo,
                 {
-                    "photo": photo, "method": method, "samples": options["samples"], "quick": options["quick"],
+                    "photo": photo, "method": method, "samples": options["samples"],
                     "gamma": gamma, "seed": seed, "sharp": sharps.get(photo),
                 },
                 version,

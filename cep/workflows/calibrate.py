@@ -39,7 +39,7 @@ CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.pn
 _LEAST_CONTRAST = 2 / 255
 _LOADING = (0.12, 0.3, 0.38)  # of an estimate's share: torch is on its way, is there, and so is the estimator
 _NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}}
-_ALLOWED = {"motdiff": {"samples", "quick"}, "gyro": {"rate_unit"}}
+_ALLOWED = {"motdiff": {"samples"}, "gyro": {"rate_unit"}}
 
 
 def check_options(method: str, options: Mapping[str, object]) -> None:
@@ -71,7 +71,6 @@ def make_estimator(
     method: str = "motdiff",
     *,
     samples: int | None = None,
-    quick: bool | None = None,
     seed: int = 0,
     sharp: ArrayLike | None = None,
     gyro: GyroTrace | None = None,
@@ -87,8 +86,6 @@ def make_estimator(
     method : {"motdiff", "pmp", "reference", "point", "gyro"}
     samples : int, optional
         For "motdiff": motions drawn.
-    quick : bool, optional
-        For "motdiff": whether the classical searches beside it are shortened.
     seed : int
         Of what is drawn at random.
     sharp : (H, W) or (H, W, 3) array_like, linear light 0..1
@@ -108,7 +105,6 @@ def make_estimator(
         method,
         {
             "samples": samples,
-            "quick": quick,
             "sharp": sharp,
             "gyro": gyro,
             "focal_px": focal_px,
@@ -149,8 +145,7 @@ def make_estimator(
     else:
         from motdiff.estimators.motdiff import MotDiffEstimator
 
-        count = 8 if samples is None else samples
-        made = MotDiffEstimator(samples=count, thorough=not quick, seed=seed, progress=tell)
+        made = MotDiffEstimator(samples=8 if samples is None else samples, seed=seed, progress=tell)
     tell(0.0)
     return made
 

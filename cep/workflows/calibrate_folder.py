@@ -147,7 +147,6 @@ def estimate_photo(
     photo: Path,
     method: str,
     samples: int | None = None,
-    quick: bool | None = None,
     gamma: str = "srgb",
     seed: int = 0,
     sharp: Path | None = None,
@@ -157,7 +156,7 @@ def estimate_photo(
     Parameters
     ----------
     photo : Path
-    method, samples, quick, seed
+    method, samples, seed
         As of :func:`cep.workflows.calibrate.make_estimator`, any method but "gyro".
     gamma : str
         Of the photos, as of :func:`cep.io.images.read_photo`.
@@ -181,7 +180,7 @@ def estimate_photo(
         check_photo(read.pixels, method)
         # as many as there are workers run at once, and sums must not depend on how many do
         with one_thread() if method in _WITH_TORCH else nullcontext():
-            estimator = make_estimator(method, samples=samples, quick=quick, seed=seed, sharp=sharp_pixels)
+            estimator = make_estimator(method, samples=samples, seed=seed, sharp=sharp_pixels)
             found = estimator.estimate(read.pixels)
     except ValueError as error:
         raise ValueError(str(error).removeprefix(f"{photo}: ")) from None

@@ -17,7 +17,7 @@ __all__ = ["METHODS", "SLOW_METHODS", "NetworkAlone", "named_estimators"]
 SLOW_METHODS = ("selfdeblur", "blinddps")
 """Hours per photo on a CPU: run only where they are named."""
 
-METHODS = ("pmp", "motdiff", "motdiff-quick", "network", "parametric", "psf-diffusion", *SLOW_METHODS)
+METHODS = ("pmp", "motdiff", "network", "parametric", "psf-diffusion", *SLOW_METHODS)
 """Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both take one DDIM step where
 none are named), ``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps tells only what
 it needs."""
@@ -163,10 +163,10 @@ def _selfdeblur(iterations: str) -> Estimator:
 
 
 def _of_network(method: str, weights: Path | None) -> Estimator:
-    if method in ("motdiff", "motdiff-quick"):
+    if method == "motdiff":
         from motdiff.estimators.motdiff import MotDiffEstimator
 
-        return MotDiffEstimator(weights=weights, thorough=method == "motdiff")
+        return MotDiffEstimator(weights=weights)
     match method.split(":"):
         case ["network"]:
             return NetworkAlone(weights)

@@ -13,24 +13,22 @@ from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS, PSF_WEIGHTS
 
 __all__ = ["OURS", "SMALL_BUDGETS", "UNUSUAL", "USUAL", "budget_warning", "label_of", "select_methods", "version_of"]
 
-USUAL = ("pmp", "motdiff", "motdiff-quick", "network", "parametric", "psf-diffusion")
+USUAL = ("pmp", "motdiff", "network", "parametric", "psf-diffusion")
 """Estimators of every table."""
 UNUSUAL = {"selfdeblur": "takes hours a photo", "blinddps": "needs weights, named blinddps:FOLDER"}
 """Estimators that are measured when named, and why only then."""
-OURS = ("motdiff", "motdiff-quick", "network")
+OURS = ("motdiff", "network")
 """The first of these that is measured is what others are compared with."""
 SMALL_BUDGETS = {"parametric": 16_016, "psf-diffusion": 12_816}
 """Samples that the shipped baselines were trained on, after a start from MoTDiff's condition network."""
 
 _WEIGHTS = {
     "motdiff": DEFAULT_WEIGHTS,
-    "motdiff-quick": DEFAULT_WEIGHTS,
     "network": DEFAULT_WEIGHTS,
     "parametric": PATH_WEIGHTS,
     "psf-diffusion": PSF_WEIGHTS,
 }
 _FOLLOWED = {
-    "motdiff-quick": "motdiff.estimators.motdiff",
     "network": "motdiff.estimators.motdiff",
     "parametric": "motdiff.baselines.parametric",
     "psf-diffusion": "motdiff.baselines.psf_diffusion",

@@ -264,7 +264,7 @@ def _seed(protocol: CodedProtocol, photo: str, index: int) -> int:
     return int(np.random.SeedSequence([protocol.seed, index, *photo.encode()]).generate_state(1)[0])
 
 
-ESTIMATORS = {"ours": "motdiff-quick", "parametric": "parametric"}
+ESTIMATORS = {"ours": "motdiff", "parametric": "parametric"}
 """Estimator behind each kind of estimated path."""
 
 Estimates = Mapping[tuple[str, str, int], Mapping[str, Figure]]
@@ -325,7 +325,7 @@ _EXPOSED = (
 )  # fmt: skip
 """From the file to the photo."""
 _ESTIMATED: dict[str, tuple[str, Path]] = {
-    "motdiff-quick": ("motdiff.estimators.motdiff", DEFAULT_WEIGHTS),
+    "motdiff": ("motdiff.estimators.motdiff", DEFAULT_WEIGHTS),
     "parametric": ("motdiff.baselines.parametric", PATH_WEIGHTS),
 }
 _LIGHT = "cep.search.light"

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from motdiff.estimators.base import SMALLEST_PX, MotionEstimate
 from motdiff.estimators.kernel_score import Judge, candidate_probabilities, noise_sigma
-from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
+from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import Found, estimate_blind
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, planned, refined
@@ -32,7 +32,7 @@ _REFINED = 3
 # processor time of the stages, in starts of the classical search
 _DRAW_COST, _JUDGE_COST, _REFINE_COST, _SINGLE_COST, _TRACE_COST = 0.4, 0.2, 0.45, 0.35, 0.25
 _DOUBT = 0.02  # share of the peak: off the path a network's output is never quite 0
-# of the full search's starts, those that stand for the quick ones the network was trained with; the first two agreeing,
+# of the search's starts, those that stand for the shortened ones the network was trained with; the first two agreeing,
 # the larger one stands for the one not run as well
 _TOLD_OF_ALL, _TOLD_OF_TWO = (2, 0, 1), (1, 0, 1)
 
@@ -53,9 +53,6 @@ class MotDiffEstimator:
     steps : int
         Denoising steps of each. With one, a draw is the network's mean guess from the photo turned or mirrored its
         way: draws are alike (MNC 0.98), and those beyond the eighth add next to nothing (0.99).
-    thorough : bool
-        Whether the classical searches are the full ones of :class:`motdiff.estimators.pmp.PmpEstimator`, or shortened
-        ones, in three quarters of the time.
     refine : bool
         Whether the likeliest kernels, drawn or searched, are refined on the photo at the end.
     seed : int
@@ -80,7 +77,6 @@ class MotDiffEstimator:
         weights: Path | str | None = None,
         samples: int = 8,
         steps: int = 1,
-        thorough: bool = True,
         refine: bool = True,
         seed: int = 0,
         crops: int = 3,
@@ -91,7 +87,7 @@ class MotDiffEstimator:
                 raise ValueError(f"{name}: must be at least 1, got {value}")
         self._network = load_network() if weights is None else load_network(weights)
         self._samples, self._steps, self._refine = samples, steps, refine
-        self._thorough, self._seed, self._crops = thorough, seed, crops
+        self._seed, self._crops = seed, crops
         self._tell, self._progress = progress, Progress(progress)
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
@@ -106,7 +102,7 @@ class MotDiffEstimator:
         after = _JUDGE_COST + _REFINE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0) + _TRACE_COST
         self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
         judge = Judge(crops)
-        classical, conditions = self._classical(crops, judge.sigma)
+        classical, conditions = self._classical(crops)
         drawn = draw_psfs(
             self._network,
             crops,
@@ -148,11 +144,8 @@ class MotDiffEstimator:
             [partial(_searched_alone, crop) for crop in crops], tell=lambda _finished: self._progress.spend(cost)
         )
 
-    def _classical(self, crops: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
+    def _classical(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Search classical kernels (Q, 64, 64), and select those that condition the network (3, 64, 64)."""
-        if not self._thorough:
-            quick = quick_search(crops, sigma=sigma)
-            return quick, quick
         found = PmpEstimator().kernels(crops, progress=self._progress)
         framed = np.stack([in_frame(kernel) for kernel in found])
         return framed, framed[list(_TOLD_OF_ALL if len(found) > 2 else _TOLD_OF_TWO)]

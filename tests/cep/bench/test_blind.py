@@ -373,7 +373,7 @@ def test_methods_are_checked_before_the_work(monkeypatch, tmp_path):
     with pytest.raises(ValueError, match=r"parametric has no weights in this package \(none\.safetensors is missing\)"):
         select_methods(["parametric"])
     names, warnings = select_methods([])
-    assert names == ("pmp", "motdiff", "motdiff-quick", "network", "psf-diffusion")
+    assert names == ("pmp", "motdiff", "network", "psf-diffusion")
     assert warnings == ["parametric is left out: none.safetensors is not in this package"]
 
 

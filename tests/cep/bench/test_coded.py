@@ -335,7 +335,7 @@ def guesses(monkeypatch):
 
 
 def test_motion_is_estimated_from_the_uncoded_photo(guesses):
-    arguments = {"method": "motdiff-quick", "borders": "real", "camera": CLEAN, "seed": 0}
+    arguments = {"method": "motdiff", "borders": "real", "camera": CLEAN, "seed": 0}
     found = estimate_motion(blocks(159), paths_to([GUESS], [1.0]), **arguments)
     assert found["mnc"] == pytest.approx(1.0)
     assert found["cpu_s"] >= 0
@@ -604,8 +604,8 @@ def test_a_changed_method_is_measured_again_alone(monkeypatch):
     assert before[0] == after[0]  # no code is chosen by a network
     assert before[1] != after[1]  # the denoiser's, with which a protocol may restore
     assert before[2] != after[2]
-    assert set(ESTIMATORS.values()) == {"motdiff-quick", "parametric"}
-    assert motion_version("motdiff-quick") != motion_version("parametric")
+    assert set(ESTIMATORS.values()) == {"motdiff", "parametric"}
+    assert motion_version("motdiff") != motion_version("parametric")
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------

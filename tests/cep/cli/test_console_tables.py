@@ -114,7 +114,7 @@ def test_every_commands_tables_at_every_width(shown, workplace, command, tables)
 
 def test_the_tables_of_the_benchmarks_at_every_width(monkeypatch):
     rng = np.random.default_rng(0)
-    methods = ("pmp", "motdiff", "motdiff-quick", "psf-diffusion", "true path, uniform speed", "network:ddpm:1000")
+    methods = ("pmp", "motdiff", "network", "psf-diffusion", "true path, uniform speed", "network:ddpm:1000")
     names = ("mnc", "mnc_subpixel", "path_mnc", "psnr_db", "ssim", "cpu_s")
     figures = {
         (method, photo, motion, "bright"): {name: 10 * rng.random() for name in names}

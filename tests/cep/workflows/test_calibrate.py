@@ -74,11 +74,9 @@ def test_each_method_makes_its_estimator(small_weights):
 
 def test_the_diffusion_model_gets_its_options(made):
     make_estimator(samples=3, seed=5)
-    make_estimator("motdiff", quick=True)
-    make_estimator("motdiff", quick=False)
+    make_estimator("motdiff")
     assert all(callable(options.pop("progress")) for options in made)
-    usual = {"samples": 8, "thorough": True, "seed": 0}
-    assert made == [{**usual, "samples": 3, "seed": 5}, {**usual, "thorough": False}, usual]
+    assert made == [{"samples": 3, "seed": 5}, {"samples": 8, "seed": 0}]
 
 
 @pytest.mark.parametrize("method", ["motdiff", "pmp"])
@@ -124,7 +122,6 @@ def test_a_steady_turn_gives_a_straight_path():
         ("reference", {"sharp": np.eye(40), "samples": 8}, "^samples: not valid with method='reference'$"),
         ("point", {"samples": 8}, "^samples: not valid with method='point'$"),
         ("gyro", GYRO | {"samples": 8}, "^samples: not valid with method='gyro'$"),
-        ("pmp", {"quick": True}, "^quick: not valid with method='pmp'$"),
         ("motdiff", {"sharp": np.eye(40)}, "^sharp: not valid with method='motdiff'$"),
         ("motdiff", {"samples": 0}, "^samples: must be at least 1, got 0$"),
         ("point", {"start_s": 1.0}, "start_s: not valid with method='point'"),
@@ -178,15 +175,15 @@ def test_the_command_is_blind_by_the_diffusion_model_unless_told_otherwise(cep, 
     found = cep.succeeds("calibrate", "blurred.png", "-o", "motion")
     ((options),) = made
     assert callable(options.pop("progress"))
-    assert options == {"samples": 8, "thorough": True, "seed": 0}
+    assert options == {"samples": 8, "seed": 0}
     assert found["length_px"] == pytest.approx(BENT.length_px)
     assert read_motion(workplace / "motion/trajectory.json").source["seed"] == 0
 
 
-def test_the_command_passes_on_samples_seed_and_quick(cep, workplace, made):
-    cep.succeeds("calibrate", "blurred.png", "--samples", "3", "--seed", "7", "--quick", "-o", "motion")
+def test_the_command_passes_on_samples_and_seed(cep, workplace, made):
+    cep.succeeds("calibrate", "blurred.png", "--samples", "3", "--seed", "7", "-o", "motion")
     ((options),) = made
-    assert (options["samples"], options["thorough"], options["seed"]) == (3, False, 7)
+    assert (options["samples"], options["seed"]) == (3, 7)
     assert read_motion(workplace / "motion/trajectory.json").source["seed"] == 7
 
 
@@ -194,7 +191,7 @@ def test_the_command_passes_on_samples_seed_and_quick(cep, workplace, made):
     ("options", "said"),
     [
         (["--method", "pmp", "--samples", "4"], "--samples: not valid with --method pmp"),
-        (["--method", "pmp", "--quick"], "--quick: not valid with --method pmp"),
+        (["--quick"], "--quick"),  # it saved a tenth of the time
         (["--samples", "0"], "--samples"),
         (["--sharp", "sharp.png"], "--sharp: not valid with --method motdiff"),
     ],
@@ -226,9 +223,9 @@ def test_a_photo_that_is_too_small_is_refused_before_anything_slow_is_loaded(wor
 
 def test_the_command_runs_a_network(cep, workplace, small_weights, monkeypatch):
     monkeypatch.setattr("motdiff.estimators.multiscale.simplest_trajectory", lambda psf: BENT)  # noise is long to trace
-    found = cep.succeeds("calibrate", "blurred.png", "--quick", "--samples", "1", "-o", "motion")
+    found = cep.succeeds("calibrate", "blurred.png", "--samples", "1", "-o", "motion")
     assert found["method"] == "motdiff"
     assert found["details"]["samples"] == 1
-    assert found["details"]["classical"] == 3
+    assert found["details"]["classical"] in (2, 4)
     assert set(CALIBRATION_FILES) == {item.name for item in (workplace / "motion").iterdir()}
     assert read_psf(found["psf"]).sum() == pytest.approx(1, rel=1e-5)

@@ -182,8 +182,8 @@ def test_every_file_of_weights_is_a_row(tmp_path, monkeypatch):
         path.touch()
     both = named_estimators(["motdiff"], files[:2])
     assert {name: estimator.options for name, estimator in both.items()} == {
-        "small": {"weights": files[0], "thorough": True},
-        "large": {"weights": files[1], "thorough": True},
+        "small": {"weights": files[0]},
+        "large": {"weights": files[1]},
     }
     assert list(named_estimators(["motdiff"])) == ["motdiff"]
     with pytest.raises(ValueError, match="weights: need different file names"):
