@@ -23,7 +23,7 @@ from cep.optics.code import ShutterCode
 from cep.search.problem import SearchProblem
 from cep.search.recipe import search_code
 from motdiff.estimators.kernel_score import Judge
-from motdiff.estimators.motdiff.drawing import searched_quickly
+from motdiff.estimators.motdiff.drawing import quick_search
 from motdiff.estimators.multiscale import without_faint_parts
 from motdiff.estimators.pmp.estimator import refined
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
@@ -54,7 +54,7 @@ def trajectories(network: torch.nn.Module, photo: np.ndarray, seed: int) -> dict
     crops = photo[None]
     sigma = Judge(crops).sigma
     light = torch.from_numpy(crops.astype(np.float32))[None]
-    searched = searched_quickly(crops, sigma=sigma)
+    searched = quick_search(crops, sigma=sigma)
     with torch.no_grad():
         maps = physics_maps(light, torch.from_numpy(searched.astype(np.float32))[None])
         drawn = sample_paths(
