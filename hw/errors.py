@@ -34,7 +34,7 @@ class DeviceError(RuntimeError):
 
 
 class BadOpError(DeviceError):
-    """The device does not know the request."""
+    """The request is unknown to the device."""
 
 
 class BadLengthError(DeviceError):
@@ -42,7 +42,7 @@ class BadLengthError(DeviceError):
 
 
 class OutOfRangeError(DeviceError):
-    """A value is outside what the device takes."""
+    """A value is out of the device's range."""
 
 
 class WrongStateError(DeviceError):

@@ -96,8 +96,8 @@ def clipped_mask(photo: ArrayLike, *, level: float = CLIPPED_LEVEL) -> NDArray[n
 def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list[tuple[int, int]]:
     """Choose crops that constrain the blur best: edges in several directions, few clipped pixels, little overlap.
 
-    A crop is worth the smaller eigenvalue of its structure tensor (the summed outer products of the gradient), so that
-    stripes of one direction, which hide the motion along them, count for nothing.
+    The value of a crop is the smaller eigenvalue of its structure tensor (the summed outer products of the gradient):
+    stripes of one direction, which hide the motion along them, have the value 0.
 
     Parameters
     ----------

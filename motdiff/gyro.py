@@ -131,7 +131,7 @@ def trajectory_from_gyro(
 
 
 def roll_rad(trace: GyroTrace, *, start_s: float, exposure_s: float, axes: Sequence[str] = DEFAULT_AXES) -> float:
-    """Largest change of the roll angle, rad, during the exposure: what :func:`trajectory_from_gyro` leaves out.
+    """Largest change of the roll angle, rad, during the exposure, which :func:`trajectory_from_gyro` leaves out.
 
     A pixel r px from the photo's centre moves by up to ``r * roll`` px in addition to the trajectory.
 

@@ -224,7 +224,7 @@ def write_codes_report(
     folder : Path, made where it is missing
     rows : sequence of CodeRow
     command : str
-        What makes them again.
+        Command that reproduces them.
     seed : int
     time_s : float
         Of each search.

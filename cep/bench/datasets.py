@@ -101,7 +101,7 @@ def photo_folder(folder: Path | str) -> tuple[Path, ...]:
     ------
     ValueError
         If there is no such folder, it holds no photos or blurred ones only, or blurred and sharp ones are mixed up: a
-        sequence lacks one half, names or sizes differ, or what is called sharp is less sharp.
+        sequence lacks one half, names or sizes differ, or the half called sharp is less sharp.
     """
     root = _folder(folder)
     layout = layout_of(root)

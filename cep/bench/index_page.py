@@ -25,7 +25,7 @@ class Part:
     ----------
     title : str
     command : str
-        What makes it again.
+        Command that reproduces it.
     summary : str
         Its first figures, Markdown.
     tables : mapping from a table's title to its figures, ready for JSON
@@ -64,7 +64,7 @@ def write_index(folder: Path, parts: Sequence[Part], *, command: str, unmade: Se
         Above the parts' folders.
     parts : sequence of Part
     command : str
-        What makes all of them again.
+        Command that reproduces all of them.
     unmade : sequence of str
         Parts not reached, after Ctrl-C.
 

@@ -108,10 +108,10 @@ def tables_json(
     ----------
     tables : sequence of Table
     command : str
-        What makes them again.
+        Command that reproduces them.
     seed : int
     machines : sequence of mapping
-        As of :attr:`cep.jobs.engine.Outcome.machines`, with the versions of what ran there.
+        As of :attr:`cep.jobs.engine.Outcome.machines`, with the versions used there.
     warnings : sequence of str
     """
     listed = [

@@ -95,7 +95,7 @@ def read_photo(
     path : path of a PNG, TIFF, JPEG, WebP, .mat or (with the package ``rawpy``) RAW file
     gamma : {"srgb", "linear"} or float
         How the file's numbers encode light: the sRGB curve, not at all, or ``value ** gamma``. Floating-point TIFF, RAW
-        and .mat files hold linear light already, whatever is asked.
+        and .mat files always hold linear light.
     min_side_px : int
         Smaller images are refused.
     variable : str

@@ -65,7 +65,7 @@ def in_processes(tasks: Tasks, workers: int) -> Generator[tuple[str, Finished]]:
 def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
     """Yield fingerprints with finished cells, from the Dask cluster whose scheduler is at ``address``.
 
-    Dask runs the cells of a lost worker again on another one; what a worker sent counts once. Workers must have the
+    Dask runs the cells of a lost worker again on another one; a result sent twice counts once. Workers must have the
     sources and weights that are here, and so must those that join later: figures are kept under the versions of these.
     A worker that joins later without this program, or with a version too old to report its sources, is not detected,
     and the run waits for it. Other versions of libraries are allowed and recorded in each result's machine.
@@ -161,7 +161,7 @@ def _one(key: str, work: Callable[..., Mapping[str, Figure]], arguments: Mapping
 def _of_these_sources(
     sources: str, key: str, work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, Any]
 ) -> tuple[str, Finished]:
-    """Refuse on a worker that joined after all were asked; what is raised here ends the run."""
+    """Refuse on a worker that joined after the check of all workers; an exception here ends the run."""
     if all_sources() != sources:
         from distributed import get_worker
 

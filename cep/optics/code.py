@@ -27,7 +27,7 @@ class ShutterCode:
     Attributes
     ----------
     bits : str
-        Of 0 and 1, whatever the code was made of.
+        Text of 0 and 1.
     chip_ns : int
 
     Raises

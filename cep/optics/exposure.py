@@ -78,7 +78,7 @@ def open_path(
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
 ) -> OpenPath:
-    """Cut the path at the chips and keep what is drawn while the shutter is open.
+    """Cut the path at the chips and keep the pieces of open ones.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def open_path(
         How the shutter opens and closes; at once when omitted. Its chip time counts, not the code's.
     edges : (n + 1,) array_like, optional
         Chip boundaries as fractions of the exposure; evenly spread over it when omitted. Beyond the exposure the
-        motion goes on as :func:`cep.optics.timeline.extended` says, and so it does under the tail of the last chip.
+        motion is extrapolated by :func:`cep.optics.timeline.extended`, also under the tail of the last chip.
 
     Raises
     ------

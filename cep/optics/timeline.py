@@ -53,7 +53,7 @@ class Timeline:
         return np.where(now > 0, np.where(before > 0, 1.0, self.opening), np.where(before > 0, self.closing, 0.0))
 
     def frame_size(self) -> int:
-        """Smallest PSF frame, px, that holds what is played (zero displacement at index ``size // 2``)."""
+        """Smallest PSF frame, px, that holds the played path (zero displacement at index ``size // 2``)."""
         points = np.concatenate([self.a, self.b[-1:]])
         low, high = np.floor(points.min()), np.floor(points.max()) + 1
         return int(max(-2 * low, 2 * high + 1))

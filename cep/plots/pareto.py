@@ -43,7 +43,7 @@ def pareto_figure(front: Front, published: Mapping[str, FrontPoint] | None = Non
     front : Front
         With at least one point.
     published : mapping of name to FrontPoint, optional
-        Codes to compare with, judged as :func:`cep.search.fronts.pareto.front_points` does.
+        Codes to compare with, measured by :func:`cep.search.fronts.pareto.front_points`.
     title : str
 
     Raises

@@ -57,7 +57,7 @@ class Table:
     highlight : int, optional
         Index of the row that this report is about.
     note : str
-        What the columns mean.
+        Meaning of the columns.
     """
 
     columns: tuple[str, ...]
@@ -92,7 +92,7 @@ class Report:
     summary : str
         The result in one or two sentences.
     facts : tuple of (name, value)
-        The figures a reader looks for first.
+        Key figures.
     sections : tuple of Section
     colophon : str
         Versions, seed, command: how to make it again.

@@ -71,7 +71,7 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
     """Find the best single open run, of any length and anywhere in the exposure.
 
     With the objective "mse" its length is the one of least noise for the problem's camera. Up to 32 lengths and 16
-    starts are looked at, then the best of these is moved and stretched by single chips while that helps.
+    starts are tried, then the best of these is moved and stretched by single chips while that helps.
 
     Parameters
     ----------

@@ -141,7 +141,7 @@ class Limits:
 
     @property
     def counts_runs(self) -> bool:
-        """Whether a pulse's length decides what may follow: on its longest length, or on the gap after it."""
+        """Whether a pulse's length matters: for its longest length, or for the gap after it."""
         return self.longest < self.chips or self.period > self.runs.min_open + self.runs.min_closed
 
     @property

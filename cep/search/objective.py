@@ -7,7 +7,7 @@ noise     ``10 log10 mean 1 / |H|^2``
 mse       ``10 log10`` of the Wiener filter's mean square error under the camera's noise
 ========= =============================================================================================
 
-H is light-true, so a darker code pays for its lost light everywhere but in ``flatness``.
+H is light-true, so lost light raises the cost everywhere but in ``flatness``.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ class SearchProblem:
     objective : {"min-mtf", "flatness", "noise", "mse"} or tuple of (name, weight)
         Objective; a mix adds the objectives' decibels. See :mod:`cep.search.objective`.
     direction : {"auto", "unknown", "forward"}
-        Unknown: the worse of both directions counts. Forward: only the one given. Auto: as each trajectory says.
+        Unknown: the worse of both directions counts. Forward: only the one given. Auto: as of each trajectory.
     rule : {"worst", "mean"}
         How scenarios combine; the mean is weighted.
     runs : RunLimits
@@ -164,7 +164,7 @@ class SearchProblem:
     def measure(self, code: ShutterCode, *, budget: int = 20_000) -> CodeMetrics:
         """Worst of each figure over all scenarios and directions; on the unit circle, along ``chips`` px straight.
 
-        The shutter opens and closes as :attr:`response` says, and the chips are played at each scenario's edges.
+        The shutter opens and closes by :attr:`response`, and the chips are played at each scenario's edges.
         """
         if code.chips != self.chips:
             raise ValueError(f"code: must have {self.chips} chips, got {code.chips}")

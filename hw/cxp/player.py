@@ -28,7 +28,7 @@ class RemotePlayer:
     link : Link
         Open link.
     hello : Hello
-        What the device announced.
+        HELLO of the device.
     """
 
     def __init__(self, link: Link, hello: Hello) -> None:
@@ -68,7 +68,7 @@ class RemotePlayer:
         Raises
         ------
         VerifyError
-            If what comes is no program.
+            If the reply is no program.
         """
         try:
             return unpack_stored(self.link.request(Op.READ))

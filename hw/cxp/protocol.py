@@ -159,7 +159,7 @@ def op_name(op: int) -> str:
 
 
 def unpack_crc(data: bytes) -> int:
-    """Parse the data of LOAD's reply: the CRC-32 of what the device stores.
+    """Parse the data of LOAD's reply: the CRC-32 of the stored program.
 
     Raises
     ------

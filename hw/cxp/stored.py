@@ -57,7 +57,7 @@ def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) ->
     ----------
     program : Program
     hello : Hello
-        What the device announced.
+        HELLO of the device.
     clock_ppm : float
         Error of the device's clock, parts per million, positive when fast: chips are stretched by as much, to
         the nearest fraction of a tick when the device takes fractions, or else to the nearest tick. With 0 the chip

@@ -31,7 +31,7 @@ class Controller(RemotePlayer):
     link : Link
         Open link, owned by the controller from now on.
     hello : Hello
-        What the device announced.
+        HELLO of the device.
 
     Examples
     --------

@@ -106,7 +106,7 @@ class WriteOnlyDevice(ABC):
         )
 
     def arm(self) -> None:
-        """Let each rising edge of the trigger input play the program, until `abort`: these devices know no lease.
+        """Let each rising edge of the trigger input play the program, until `abort`: these devices have no lease.
 
         Raises
         ------

@@ -72,7 +72,7 @@ def verified(program: Program, crc: str, *, source: str) -> Program:
 
 
 def unaltered(program: Program, text: str, again: str, *, source: str) -> Program:
-    """Return the program if the text is, line for line, what export writes for it.
+    """Return the program if the text equals its export, line for line.
 
     A file that plays has more in it than the code: a changed pin, clock or voltage is another program.
     """

@@ -30,7 +30,7 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
     Raises
     ------
     ValueError
-        If there are more pulses than the cameras count, or an opening is no longer than what the camera adds.
+        If there are more pulses than the cameras count, or an opening is no longer than the camera's bias.
     """
     pulses, bias = program.pulses, device.on_bias_ns
     if pulses > _MOST_PULSES:
@@ -76,12 +76,12 @@ XI_PRM_EXPOSURE_BURST_COUNT = {pulses}
 
 
 def parse_back(text: str, /) -> Program:
-    """Read the program back from the pulses, adding to each what the camera adds.
+    """Read the program back from the pulses, adding the camera's bias to each.
 
     Raises
     ------
     ValueError
-        If the text is not what `export` writes.
+        If the text is no file of `export`.
     """
     source = "camera recipe"
     table = toml_table(text, form=_FORMAT, source=source)

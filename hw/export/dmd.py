@@ -53,7 +53,7 @@ def parse_back(text: str, /) -> Program:
     Raises
     ------
     ValueError
-        If the text is not what `export` writes.
+        If the text is no file of `export`.
     """
     source = "DMD list"
     facts = {key: only(pattern, text, f"'# {key}:'", source=source) for key, pattern in _FACTS.items()}

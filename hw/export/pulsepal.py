@@ -132,7 +132,7 @@ def parse_back(text: str, /) -> Program:
     Raises
     ------
     ValueError
-        If the text is not what `export` writes.
+        If the text is no file of `export`.
     """
     source = "Pulse Pal text"
     table = toml_table(text, form=_FORMAT, source=source)

@@ -134,7 +134,7 @@ def parse_back(text: str, /) -> Program:
     Raises
     ------
     ValueError
-        If the text is not what `export` writes.
+        If the text is no file of `export`.
     """
     source = "rp2 script"
     chips = integer(only(_CHIPS, text, "CHIPS", source=source), f"{source} CHIPS")

@@ -124,7 +124,7 @@ def parse_back(text: str, /) -> Program:
     Raises
     ------
     ValueError
-        If the text is not what `export` writes.
+        If the text is no file of `export`.
     """
     source = "SCPI text"
     chips = integer(only(_CHIPS, text, "'# chips:'", source=source), f"{source} chips")

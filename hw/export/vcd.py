@@ -51,7 +51,7 @@ def parse_back(text: str, /) -> Program:
     Raises
     ------
     ValueError
-        If the text is not what `export` writes.
+        If the text is no file of `export`.
     """
     source = "VCD"
     facts = _FACT.fullmatch(only(_FACTS, text, "'$comment chip_ns'", source=source))

@@ -142,13 +142,13 @@ def sample_jointly(
     generator: torch.Generator,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Tensor, Tensor]:
-    r"""Draw two signals side by side, each by its own diffusion, both pulled to what was measured.
+    r"""Sample two signals jointly, each by its own diffusion, both guided by the measurement.
 
     At each timestep, from both noisy signals at once, with ``x0`` the clean signals that their priors guess ::
 
         x_{t-1} = posterior mean of x_t and x0 + noise - strength sqrt(alpha_bar_t) grad_{x_t} |residual(x0)|
 
-    The paper's step is constant; this one, which grows as the guesses get better, is what its authors' program takes.
+    The paper's step is constant; this one, which grows as the guesses get better, is that of its authors' program.
     Their penalty on the kernel's sum is left out: it is constant for kernels of sum 1.
 
     Parameters

@@ -204,7 +204,7 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
 
 
 def without_faint_parts(kernel: FloatArray) -> FloatArray:
-    """Drop what is below 5 % of the peak, and specks: noise there draws side branches that lengthen the path.
+    """Drop values below 5 % of the peak, and specks: noise there adds side branches that lengthen the path.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ class PointEstimator:
     """Take the streak of a point light, on a darker background, as the PSF.
 
     Assumes that the light is small against a pixel (a distant lamp, a laser spot, a star): nothing is deconvolved, so
-    a light d px wide widens the path by d. The background is the local median; a streak is what rises above its noise.
+    a light d px wide widens the path by d. The background is the local median; a streak is an area above its noise.
     Streaks that touch the photo's border are left out, saturated ones come after all others, as their dwell is cut.
     Several lights that agree with the best one (sub-pixel MNC) are averaged, weighted by their signal-to-noise ratio.
 

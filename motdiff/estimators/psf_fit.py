@@ -129,7 +129,7 @@ def fit_psf(
 
 
 def residual_variance(pairs: Sequence[PatchPair], psf: FloatArray) -> float:
-    """Mean square of what ``psf`` leaves unexplained, over the pixels that count."""
+    """Mean square residual of a fit by ``psf``, over the pixels that count."""
     residual = sum(float((p.weight * (p.blurred - _Operator(p, len(psf)).forward(psf)) ** 2).sum()) for p in pairs)
     return residual / max(1.0, sum(pair.pixels for pair in pairs))
 
@@ -145,7 +145,7 @@ def _constrained_step(start: FloatArray, gradient: FloatArray, model: FloatArray
     """Minimise ``gradient . (k - start) + (k - start) H (k - start) / 2`` over k >= 0 in its frame.
 
     ``model`` is the spectrum of H on a frame of twice the size. ADMM splits the quadratic, solved exactly there, from
-    the constraint; unlike projected gradients it does not mind that scenes hold so little fine detail.
+    the constraint; unlike projected gradients it converges although scenes have little fine detail.
     """
     size = len(start)
     frame = (2 * size, 2 * size)

@@ -265,7 +265,7 @@ def _explained_beyond_noise(pairs: Sequence[psf_fit.PatchPair], psf: FloatArray,
 
 
 def _without_specks(psf: FloatArray) -> FloatArray:
-    """Drop what lies apart from the path and holds little light: noise scattered over the frame."""
+    """Drop parts apart from the path with little light: noise scattered over the frame."""
     solid = psf > _SPECK_FAINT * psf.max()
     labels, count = ndimage.label(ndimage.binary_dilation(solid, np.ones((3, 3)), iterations=2), np.ones((3, 3)))
     light = ndimage.sum_labels(psf, labels, np.arange(count + 1))

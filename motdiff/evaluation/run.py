@@ -92,7 +92,7 @@ def simulated_sets(
     Raises
     ------
     ValueError
-        If a set is unknown, or what it needs is missing.
+        If a set is unknown, or an input that it needs is missing.
     """
     if unknown := [name for name in names if name not in RECIPES]:
         raise ValueError(f"set: must be one of {', '.join(RECIPES)}, got {unknown[0]!r}")

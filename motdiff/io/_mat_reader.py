@@ -37,7 +37,7 @@ def _limit(most_mib: int, most_s: int) -> None:
 
 
 def _read(path: str, names: list[str]) -> tuple[dict[str, Any], list[str]]:
-    """Arrays of those names; and, where there are none, the names of what else the file holds."""
+    """Arrays of those names; and, where there are none, the names of the file's other variables."""
     from numpy import asarray
     from scipy.io import loadmat, whosmat
 

@@ -29,7 +29,7 @@ def decode(data: bytes, name: object, *, colour: bool = False) -> tuple[NDArray[
     name : path
         For the error.
     colour : bool
-        Whether to give three channels of 8 bit, whatever the file holds.
+        Whether to convert to three channels of 8 bit.
 
     Returns
     -------

@@ -76,7 +76,7 @@ class PyramidVisionTransformer(nn.Module):
     def forward(self, photo: Tensor) -> list[Tensor]:
         """Features (B, C_s, H / 2^(s+1), W / 2^(s+1)), s = 1..4, of photos (B, 3, H, W) whose sides are 32 n.
 
-        The photo is normalised by ImageNet's mean and standard deviation; it is the caller who does it.
+        The photo is normalised by ImageNet's mean and standard deviation, by the caller.
         """
         tokens = self.patch_embed(photo)  # (B, H/4, W/4, C1)
         features = []

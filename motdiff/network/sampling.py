@@ -104,7 +104,7 @@ def psfs_of_maps(maps: Tensor) -> Tensor:
 
 
 def psf_signals(psfs: Tensor) -> Tensor:
-    """PSFs (..., S, S) as what is diffused, 0..1: the root of each over its peak.
+    """Signals of PSFs (..., S, S) for the diffusion, 0..1: the root of each over its peak.
 
     Kernel-Diff diffuses PSFs of sum 1, most of which lie within a hundredth of 0; the root uses the range.
     """

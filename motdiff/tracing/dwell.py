@@ -34,7 +34,7 @@ def fit_dwell(path_px: ArrayLike, psf: ArrayLike, *, smoothness: float = 0.01, e
     smoothness : float
         Weight of the squared differences of neighbouring dwells, relative to the data's own curvature.
     extend_px : float, px
-        Both ends are prolonged by this before the fit; what gets no time is cut off again.
+        Both ends are prolonged by this before the fit; ends without dwell are cut off again.
 
     Returns
     -------
@@ -118,7 +118,7 @@ def _fit(nodes: FloatArray, auto: FloatArray, cross: FloatArray, smoothness: flo
 def _piece_psfs(nodes: FloatArray, cross: FloatArray) -> tuple[FloatArray, FloatArray]:
     """PSF of each piece between nodes (n, S, S), summing to 1 each, and the target in the same frame.
 
-    The frame just holds the path: what the target has further out no dwell could explain.
+    The frame just holds the path: no dwell explains light of the target further out.
     """
     half = int(np.ceil(np.abs(nodes).max())) + 1 + int(_MOST_SHIFT_PX)
     beyond = half - cross.shape[0] // 2

@@ -243,7 +243,7 @@ def _with_extra(branches: list[Branch], drawn: BoolArray) -> list[Branch]:
 
 
 def _gap_branches(nodes: FloatArray, branches: list[Branch], gap_px: float) -> list[Branch]:
-    """Guesses across gaps between loose ends of what is already one part."""
+    """Find optional branches across gaps between loose ends of one part."""
     degree = np.bincount([end for branch in branches for end in branch.ends], minlength=len(nodes))
     loose = [int(i) for i in np.flatnonzero(degree == 1)]
     guesses = []

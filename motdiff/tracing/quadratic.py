@@ -211,7 +211,7 @@ def simplest_trajectory(psf: ArrayLike) -> Trajectory:
     """Turn an estimated PSF into a trajectory: a quadratic path where that explains the PSF, else a walk.
 
     A walk covers all that is drawn, so the blotches of a blind kernel make it several times too long and lose its order
-    in time, which is what a shutter code is made for. A straight or evenly bent path cannot follow them.
+    in time, which a shutter code depends on. A straight or evenly bent path cannot follow them.
 
     Parameters
     ----------

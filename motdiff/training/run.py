@@ -69,7 +69,7 @@ class Pace:
 
 
 def make_sources(config: TrainingConfig, *, device: torch.device | str = "cpu", workers: int = 1) -> Sources:
-    """Read or simulate what the run needs.
+    """Read or simulate the samples of the run.
 
     Parameters
     ----------

@@ -126,7 +126,7 @@ def registration(kernels: Tensor, dwell: Tensor) -> Tensor:
 
 
 def shifted(maps: Tensor, move: Tensor) -> Tensor:
-    """Move each map (B, C, H, W) by whole pixels (B, 2), down and right; what leaves the frame is lost."""
+    """Move each map (B, C, H, W) by whole pixels (B, 2), down and right; pixels that leave the frame are lost."""
     batch, channels, height, width = maps.shape
     row = torch.arange(height, device=maps.device)[None, :] - move[:, :1]
     column = torch.arange(width, device=maps.device)[None, :] - move[:, 1:]

@@ -92,7 +92,7 @@ class RealPhoto:
     Attributes
     ----------
     scene, shake : str
-        What it shows, and which of the scene's shakes it has.
+        The scene, and the number of its shake.
     blurred : Path
         Levin's ``.mat`` file holds the sharp photo and the kernel too.
     sharp : Path or None

@@ -56,7 +56,7 @@ def write_report(
     plan : Plan
     outcome : Outcome
     command : str
-        What makes them again.
+        Command that reproduces them.
     warnings : sequence of str
         All warnings, the plan's included.
     pictured : sequence of methods
@@ -163,7 +163,7 @@ _OWN = ("confidence", "path_px")
 
 
 def blind_tables(figures: Figures, lights: Sequence[str], *, title: str, seed: int) -> list[Table]:
-    """Sum up per method: for each light level the methods, the ceilings apart, and what ours has over each method.
+    """Summarise per method: for each light level the methods, the ceilings, and the lead of ours over each method.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def blind_tables(figures: Figures, lights: Sequence[str], *, title: str, seed: i
 
 
 def speed_tables(figures: Figures, *, title: str, seed: int) -> list[Table]:
-    """Sum up what an estimate costs per method."""
+    """Summarise the cost of an estimate per method."""
     return [_table(title, figures, (*_COST, Column("mnc_subpixel", "sub-pixel MNC", None, 3)), seed)]
 
 

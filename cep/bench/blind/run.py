@@ -29,7 +29,7 @@ _REAL: dict[Layout, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
 
 @dataclass(frozen=True)
 class Plan:
-    """Cells of a blind table, and what they share.
+    """Cells of a blind table and their common settings.
 
     Attributes
     ----------

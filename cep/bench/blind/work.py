@@ -126,7 +126,7 @@ def psf_to_text(psf: FloatArray) -> str:
 
 
 def psf_from_text(text: str) -> FloatArray:
-    """Read what :func:`psf_to_text` has written, sum 1.
+    """Read a text of :func:`psf_to_text` as a PSF of sum 1.
 
     Raises
     ------

@@ -87,7 +87,7 @@ def design_code(
         Fewest and most open chips; snapshots and strobes need not keep it, published codes have their own.
     objective : str
     camera : Camera
-        What the code is designed for.
+        Camera of the objective.
     steps : int
         Moves of a search, the same for all that search.
     rng : numpy Generator

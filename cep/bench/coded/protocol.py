@@ -70,7 +70,7 @@ class CodedProtocol:
     read_noise_e : float
     restoration : str
     border_rounds : int
-        Rounds in which the restoration guesses what lies outside the photo. A blur of 60 px needs dozens.
+        Rounds in which the restoration extends the photo beyond its borders. A blur of 60 px needs dozens.
     restored_by : {"psf", "path", "estimate"}
         Input of the restoration: the true coded PSF; the true path, of unknown direction; or the path that the code
         was designed for, tried in both directions.
@@ -203,7 +203,7 @@ def paths_to(paths: Sequence[Trajectory], weights: Sequence[float]) -> str:
 
 
 def paths_from(text: str) -> tuple[tuple[Trajectory, ...], tuple[float, ...]]:
-    """Read what :func:`paths_to` has written: paths and weights."""
+    """Read a text of :func:`paths_to`: paths and weights."""
     rows = json.loads(text)
     paths = tuple(Trajectory(np.array(row["t"]), np.array(row["xy"]), row["direction"]) for row in rows)
     return paths, tuple(float(row["weight"]) for row in rows)

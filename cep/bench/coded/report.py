@@ -49,7 +49,7 @@ def write_coded_report(
     tables : sequence of Table
     measured : CodedTable
     command : str
-        What makes them again.
+        Command that reproduces them.
     warnings : sequence of str
     force : bool
         Whether existing files may be replaced.

@@ -70,7 +70,7 @@ def chip_lines(bits: str) -> Lines:
 
 
 def path_lines(bits: str, t: FloatArray, xy: FloatArray) -> Lines:
-    """Cut a path at its vertices and at equal chips, and keep what the open ones see."""
+    """Cut a path at its vertices and at equal chips, and keep the pieces of open ones."""
     chips = len(bits)
     cuts = np.union1d(t, np.arange(chips + 1) / chips)
     cuts = cuts[(cuts >= 0) & (cuts <= 1)]

@@ -65,7 +65,7 @@ class SearchResult:
     steps : int
         Moves tried.
     stopped : {"steps", "time", "interrupted", "complete"}
-        What ended it: all moves made; the time limit, which makes the outcome depend on the machine; Ctrl-C; or that
+        Its end: all moves made; the time limit, which makes the outcome depend on the machine; Ctrl-C; or that
         no other code keeps the limits.
     """
 
@@ -121,8 +121,8 @@ def anneal(
         Moves to try, over all chains. None searches for ``time_s``, and is not reproducible.
     time_s : float
         Upper limit of the moves, seconds; ``math.inf`` for none. The closing polish ends at the latest a tenth of it,
-        or half a second, later; after Ctrl-C, within half a second. What prepares the polish and measures the code
-        comes on top: next to nothing for 52 chips, 2 to 3 s for 512.
+        or half a second, later; after Ctrl-C, within half a second. Preparing the polish and measuring the code are not
+        included: milliseconds for 52 chips, 2 to 3 s for 512.
     start : iterable of ShutterCode
         Codes to start from besides random ones, such as published ones; those that break a limit are left out.
     progress : callable, optional
@@ -294,11 +294,11 @@ class Budget:
         tell : callable
             Called with each piece and False, and at the end with the last one and True. It may raise KeyboardInterrupt.
         stopped : {"steps", "time", "interrupted", "complete"}
-            What ended the search before.
+            Reason of the end of the search so far.
 
         Returns
         -------
-        The last piece, and what ended the search with its polish.
+        The last piece, and the reason of the end of the search with its polish.
         """
         ends_s = self.time_s + max(_POLISH_S, _POLISH_SHARE * self.time_s)
         if stopped == "interrupted":

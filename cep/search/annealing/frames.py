@@ -54,7 +54,7 @@ class FramesResult:
     steps : int
         Moves tried.
     stopped : {"steps", "time", "interrupted", "complete"}
-        What ended it, as of :class:`cep.search.annealing.anneal.SearchResult`.
+        Reason of its end, as of :class:`cep.search.annealing.anneal.SearchResult`.
     """
 
     codes: tuple[ShutterCode, ...]

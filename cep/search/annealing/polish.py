@@ -106,7 +106,7 @@ _SPARSE = 8  # one frequency in so many suffices to reject nearly every code
 
 
 def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) -> RealArray:
-    """OTF (R, 2, F) of (R, n) codes near a code (n,) whose OTF (2, F) is known: the work grows with what differs."""
+    """OTF (R, 2, F) of (R, n) codes near a code (n,) whose OTF (2, F) is known, by the changed chips alone."""
     chips, variants = objective.rows.shape[:2]
     change = codes - code
     which, chip = np.nonzero(change)

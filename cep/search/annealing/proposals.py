@@ -19,7 +19,7 @@ _MOST_CHANGES = 24  # chips that one move may change
 
 
 class Limits(NamedTuple):
-    """What a code keeps, as the compiled loops read it.
+    """Limits of a code for the compiled loops.
 
     Attributes
     ----------

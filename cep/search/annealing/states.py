@@ -63,7 +63,7 @@ def fresh_otf(tables: Any, code: NDArray[np.int8], chips: int, otf: Floats) -> N
 
 @compiled
 def worst_first(tables: Any, otf: Floats) -> None:
-    """Sort each part's frequencies in place by what they add to the cost: the worst ones refuse most moves."""
+    """Sort each part's frequencies in place by their share of the cost: the worst ones reject most moves."""
     frames, rows, scale, offset = otf.shape[0], tables.rows, tables.scale, tables.offset
     for part in range(len(tables.layout)):
         first, size = tables.layout[part, 0], (tables.layout[part, 1] - tables.layout[part, 0]) * BLOCK
@@ -145,7 +145,7 @@ def new_chain(tables: Tables, code: NDArray[np.int8], seed: int, *, frames: int 
 
 
 def own_tables(tables: Tables) -> Tables:
-    """Copy what a chain sorts for itself."""
+    """Copy the tables that a chain sorts."""
     return tables._replace(rows=tables.rows.copy(), scale=tables.scale.copy(), offset=tables.offset.copy())
 
 

@@ -7,7 +7,7 @@ The products ``C = c c'`` of all codes with k ones are relaxed to symmetric ``C 
 
 with ``g = sum a_f`` for the smallest |H|^2 (whose bound is k / g) and ``g = sum sqrt(w_f a_f)`` for the mean of
 1/|H|^2 (whose bound is g^2 / k). Newton steps on its logarithmic barrier cost little, as each G_f has two or four
-columns, and the barrier's inverse matrix is the relaxed C. What a solver returns is only ever used as multipliers of a
+columns, and the barrier's inverse matrix is the relaxed C. The result of a solver is only used as multipliers of a
 :class:`cep.search.bounding.relaxation.DualProof`.
 
 References
@@ -219,7 +219,7 @@ def _newton_step(
     shares: FloatArray | None,
     heat: float,
 ) -> tuple[FloatArray, float]:
-    """Newton's step in (da / a, dv), and by how much the quadratic model says that it pays."""
+    """Newton's step in (da / a, dv), and its gain by the quadratic model."""
     m = a.size
     through = inverse @ flat
     pairs = _pairs(flat, through, rank)

@@ -190,7 +190,7 @@ def _cut(chips: int) -> tuple[int, int, int]:
 
 
 def _order(basis: ComplexArray, limits: Limits, limit: float) -> NDArray[np.intp]:
-    """Order frequencies so that each discards most of what those before it leave, in a sample of random codes.
+    """Order frequencies so that each discards most of the codes left by those before it, in a sample of random codes.
 
     Of very many frequencies only some are taken.
     """

@@ -3,8 +3,8 @@
 A code is cut into far chips at both ends, near chips, and an inner block of ten. At a frequency the sum of all chips
 outside the block is a point of the plane; the plane is cut into square cells, and for every cell 1024 bits are kept:
 which of the 1024 inner patterns are not surely below the limit, wherever in the cell the point lies. One AND of 1024
-bits judges 1024 codes at one frequency, and a dozen and a half leave nothing of most blocks. What is left is evaluated
-in float32 at all frequencies, its rounding error allowed for; what that leaves is the caller's to judge.
+bits judges 1024 codes at one frequency, and a dozen and a half leave nothing of most blocks. The others are evaluated
+in float32 at all frequencies, with an allowance for rounding; the caller evaluates those that remain.
 
 Nothing is discarded without a frequency at which its |H| is below the limit: rounding costs speed, never the proof.
 """

@@ -64,7 +64,7 @@ class Front:
     steps : int
         Moves tried by the annealing.
     stopped : {"steps", "time", "interrupted"}
-        What ended it: all moves made, the time limit, which makes the front depend on the machine, or Ctrl-C.
+        Reason of its end: all moves made, the time limit, which makes the front depend on the machine, or Ctrl-C.
     """
 
     points: tuple[FrontPoint, ...]
@@ -266,7 +266,7 @@ class Archive:
             codes, hopes = np.delete(codes, chosen, axis=0), np.delete(hopes, chosen, axis=0)
 
     def look_around(self, rng: np.random.Generator) -> bool:
-        """Offer all swaps of one code not looked around yet; False when there is none."""
+        """Offer all swaps of one code whose neighbours are not yet evaluated; False when there is none."""
         code = next((c for c in self.codes if c.tobytes() not in self._looked_around), None)
         if code is None:
             return False

@@ -1,8 +1,8 @@
 """Pareto search: non-dominated codes in the minimum of |H|, the noise and the light.
 
-Codes are searched for every number of open chips with several mixes of minimum and noise, each search from what its
-neighbours found; a Pareto local search then looks at every swap of two chips of every code that is not beaten. Codes
-are picked on coarse samples, but judged on fine ones and, for the minimum, on the continuum.
+Codes are searched for every number of open chips with several mixes of minimum and noise, each search from the codes
+of its neighbours. A Pareto local search then tries every swap of two chips of every non-dominated code. Codes are
+selected on coarse samples, and measured on fine ones and, for the minimum, on the continuum.
 
 References
 ----------
@@ -112,7 +112,7 @@ class _TimeIsUp(Exception):  # noqa: N818 - no error
 
 
 class _Search:
-    """State of a search: an archive per count, and what is left of time and moves."""
+    """State of a search: an archive per count, and the remaining time and moves."""
 
     def __init__(
         self,
@@ -196,7 +196,7 @@ class _Search:
         return sorted({int(count) for count in light[~far_beaten]} or self.archives)
 
     def _settle(self, count: int, looks: int | None) -> None:
-        """Look around the count's codes, until all swaps are known or so many codes have been looked around."""
+        """Evaluate the swaps of the count's codes, up to a number of codes."""
         done, more = 0, True
         while more and (looks is None or done < looks):
             self._tick(f"{count} open")
@@ -204,7 +204,7 @@ class _Search:
             done += 1
 
     def _anneal(self, count: int, share: float, moves: int) -> None:
-        """Run chains from the count's codes, from neighbours' and from anywhere, and offer whatever they found."""
+        """Run chains from the count's codes, from neighbours' and from random ones, and offer their codes."""
         archive, found = self.archives[count], list[Codes]()
         near = sorted((k for k in self.archives if k != count), key=lambda k: (abs(k - count), k))[:2]
         relit = [self._relit(self.archives[k].codes, count, variants=1) for k in near]
@@ -233,7 +233,7 @@ class _Search:
             archive.offer(np.concatenate([*found, archive.codes[:0]]))
 
     def _tables_of(self, share: float) -> tuple[Tables, float]:
-        """Lay out a mix for the compiled loops, once, and say how hot its chains begin, dB."""
+        """Tables of a mix for the compiled loops, cached, and the first temperature of its chains, dB."""
         if share not in self._tables:
             mix = tuple((name, weight) for name, weight in (("min-mtf", 1 - share), ("noise", share)) if weight > 0)
             tables = lay_out(Objective(replace(self.problem, objective=mix), oversampling=_OVERSAMPLING))

@@ -98,7 +98,7 @@ class MotDiffEstimator:
         return estimate
 
     def search(self, crops: FloatArray) -> Found:
-        """Draw, judge and refine kernels of the crops (C, H, W)."""
+        """Sample, score and refine kernels of the crops (C, H, W)."""
         after = _JUDGE_COST + _REFINE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0) + _TRACE_COST
         self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
         judge = Judge(crops)
