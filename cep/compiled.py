@@ -1,4 +1,4 @@
-"""Compiling of the innermost loops: numba, kept between runs, free of the interpreter's lock.
+"""Compilation of the innermost loops by numba, cached between runs, without the interpreter's lock.
 
 numba keys the machine code it keeps by the file of each function alone, and a loop into which other modules' functions
 were inlined would survive their change. So the folder of the kept code is named after all compiled sources together.
@@ -41,7 +41,7 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Compile into whatever compiled function calls it: handing over many arrays costs more than a short loop."""
+    """Compile into the calling compiled function: passing many arrays costs more than a short loop."""
     return _compile(function, forceinline=True)
 
 

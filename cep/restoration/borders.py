@@ -1,7 +1,7 @@
-"""Real borders: a photo is not periodic, the FFT is. Extend it so that it wraps around smoothly, restore, crop back.
+"""Real borders of a photo for FFT methods: periodic extension before a restoration.
 
-The gap between opposite edges is first filled with a membrane (Laplace's equation, as in Liu and Jia), then with what
-the most likely scene, given only the pixels really seen, would have shown there.
+The gap between opposite edges is first filled with a membrane (Laplace's equation, as in Liu and Jia), then with the
+photo of the most likely scene, given the pixels of the photo.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def membrane_extension(image: FloatArray, shape: tuple[int, int]) -> FloatArray:
 def reblurred_extension(
     image: FloatArray, psf: FloatArray, shape: tuple[int, int], *, noise_to_scene: float, rounds: int
 ) -> FloatArray:
-    """Extend ``image`` by what its own Wiener restoration would have shown outside it.
+    """Extend ``image`` by its Wiener restoration, blurred again.
 
     The scene minimises ``|M (K x - y)|^2 + noise_to_scene |f X|^2``, M being 1 on the photo; it is found by conjugate
     gradients, preconditioned with the periodic Wiener filter and started from the membrane.

@@ -1,4 +1,4 @@
-"""Which way did the camera run along its path? A coded photo tells, since the code makes the two PSFs differ.
+"""Test of the direction of motion in a coded photo: the code makes the PSFs of the two directions differ.
 
 Two clues are weighed. Frequencies that the code passes along one direction and stops along the other show in the
 photo's power spectrum (its likelihood under each PSF). And the wrong PSF leaves ringing, so the restored scene has more
@@ -42,7 +42,7 @@ class DirectionResult:
     Attributes
     ----------
     direction : {"forward", "reverse", "undecidable"}
-        "undecidable" when the two PSFs are practically the same, so that no photo could tell, or the photo is flat.
+        "undecidable" when the two PSFs are practically the same, or the photo is flat.
     confidence : float
         Estimated probability that the direction is right, 0.5..1; 0.5 when undecidable.
     likelihoods : (2,) tuple of float
@@ -68,7 +68,7 @@ def detect_direction(  # a test of directions, not a test
     *,
     size: int = PSF_PX,
 ) -> DirectionResult:
-    """Tell whether a coded ``photo`` was taken along ``trajectory`` or along its reverse.
+    """Test whether a coded ``photo`` was taken along ``trajectory`` or along its reverse.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def detect_direction(  # a test of directions, not a test
 
 
 def compare_psfs(photo: ArrayLike, forward: ArrayLike, reverse: ArrayLike) -> DirectionResult:
-    """Tell which of two PSFs a photo was blurred by.
+    """Test which of two PSFs a photo was blurred by.
 
     Parameters
     ----------

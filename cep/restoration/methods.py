@@ -54,7 +54,7 @@ class Restoration:
     psf : (S, S) float ndarray
         Light-true PSF that it was restored with.
     direction : {"known", "unknown", "forward", "reverse", "undecidable"} or None
-        Of the motion: as the trajectory says, or as the test of both directions found; None where a PSF was given.
+        Direction of the motion: the trajectory's, or the result of the test; None where a PSF was given.
     direction_test : DirectionResult or None
         The test, where there was one.
     residual : float

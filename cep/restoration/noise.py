@@ -1,4 +1,4 @@
-"""How strong the scene and the noise in a blurred photo are: maximum likelihood on its periodogram."""
+"""Power spectra of scene and noise in a blurred photo, by maximum likelihood on its periodogram."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every restoration shares: checked input, the OTF of a PSF on an FFT grid, gradients as spectra."""
+"""Common parts of the restorations: checked input, the OTF of a PSF on an FFT grid, spectra of gradients."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The denoiser: a small residual U-Net on half the resolution, told the noise level, without biases."""
+"""Denoising network: a small residual U-Net on half the resolution, with the noise level as input, without biases."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SHUFFLE = 2  # the finest features are at half the resolution: four times as qu
 
 
 class DenoisingNetwork(nn.Module):
-    """Takes white Gaussian noise of a known level out of a photo.
+    """Removes white Gaussian noise of a known level from a photo.
 
     Without biases it is homogeneous: image and noise level times a > 0 give the result times a.
 

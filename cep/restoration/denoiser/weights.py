@@ -1,4 +1,4 @@
-"""The denoiser's weights file, float16, and the denoiser itself as a function on arrays."""
+"""Weights file of the denoiser, float16, and the denoiser as a function on arrays."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def read_card(path: Path | str = SHIPPED) -> dict[str, Any]:
 def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], FloatArray]:
     """Return a weights file's denoiser: a function of an (H, W) image in linear light and its noise's sigma.
 
-    Levels above those it was trained for are the same to it as a darker photo, see :class:`DenoisingNetwork`.
+    Levels above the trained ones are equivalent to a darker photo, see :class:`DenoisingNetwork`.
 
     Raises
     ------
