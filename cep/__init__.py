@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from cep.restoration.methods import restore
     from cep.search.bounding.bounds import bound
     from cep.search.problem import SearchProblem
+    from cep.workflows.calibrate import estimate_motion
     from cep.workflows.shutter import open_shutter
     from hw.device import DeviceProfile
     from motdiff.trajectory import Trajectory
@@ -52,6 +53,7 @@ __all__ = [
     "certify",
     "coded_psf",
     "detect_direction",
+    "estimate_motion",
     "load_code",
     "mtf",
     "open_shutter",
@@ -73,6 +75,7 @@ _MODULES = {
     "certify": "cep.proofs.certify.certificate",
     "coded_psf": "cep.optics.exposure",
     "detect_direction": "cep.restoration.direction",
+    "estimate_motion": "cep.workflows.calibrate",
     "load_code": "cep.codes.sources",
     "mtf": "cep.optics.exposure",
     "open_shutter": "cep.workflows.shutter",

@@ -33,13 +33,14 @@ _ESTIMATE = {
     "motdiff": (0.07, 0.88), "pmp": (0.07, 0.88), "reference": (0.2, 0.7), "point": (0.35, 0.55), "gyro": (0.45, 0.5),
 }  # fmt: skip
 """Where in the time of the command a photo's estimate begins and ends; the preview takes most of the rest."""
+_OWN_ESTIMATE = (0.2, 0.8)
 
 _WITH_GYRO, _WITH_MOTDIFF = "With --method gyro", "With --method motdiff"
 
 
 def calibrate(
     image: Annotated[
-        Path, typer.Argument(metavar="IMAGE", help="Blurred photo: PNG, TIFF, JPEG or RAW; or a folder of such.")
+        Path, typer.Argument(metavar="IMAGE", help="Blurred photo: PNG, TIFF, JPEG, WebP or RAW; or a folder of such.")
     ],
     output: Annotated[
         Path | None, output_option("Folder to write into; IMAGE_motion when omitted.", metavar="FOLDER")
@@ -50,7 +51,7 @@ def calibrate(
             "--method",
             metavar="NAME",
             help="motdiff (blind, diffusion model), pmp (blind, classical), reference (beside a sharp photo), "
-            "point (of a small light), or gyro (from a recording).",
+            "point (of a small light), gyro (from a recording), or module:name of an estimator of your own.",
         ),
     ] = "motdiff",
     sharp: Annotated[
@@ -140,9 +141,7 @@ def calibrate(
         from cep.workflows.calibrate import (
             CALIBRATION_FILES,
             check_options,
-            check_photo,
-            make_estimator,
-            write_calibration,
+            estimate_motion,
         )
         from motdiff.io.gyro_tables import read_gyro
 
@@ -156,12 +155,12 @@ def calibrate(
         sharp_photo = None if sharp is None else read_image(sharp, gamma=gamma, variable="x")
         recording = None if gyro is None else read_gyro(gyro, rate_unit=cast(Any, gyro_unit))
         started = time.perf_counter()
-        begins, ends = _ESTIMATE[method]
+        begins, ends = _ESTIMATE.get(method, _OWN_ESTIMATE)
         tick(begins, "estimating")
         try:
-            check_photo(photo.pixels, method)  # before anything slow is loaded
-            estimator = make_estimator(
-                method,
+            found = estimate_motion(
+                photo.pixels,
+                method=method,
                 samples=samples,
                 seed=seed,
                 sharp=sharp_photo,
@@ -171,16 +170,15 @@ def calibrate(
                 exposure_s=exposure,
                 progress=part(tick, begins, ends),
             )
-            found = estimator.estimate(photo.pixels)
         except ValueError as error:
             if str(error).partition(": ")[0] in options:  # it is an option that is wrong, not the photo
                 raise
             raise ValueError(f"{image}: {error}") from None
         seconds = time.perf_counter() - started
         tick(ends, "writing")
-        files = write_calibration(folder, found, photo.pixels, source={"image": str(image), "seed": seed}, force=force)
+        files = found.save(folder, source={"image": str(image), "seed": seed}, force=force)
         tick(1.0)
-    motion = found.trajectories[0]
+    motion = found.best
     warnings = [*photo.warnings, *found.warnings]
     result = {
         "method": found.method,

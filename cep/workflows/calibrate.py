@@ -3,32 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cep.io.files import write_psf
 from cep.io.images import write_image
 from cep.io.outputs import new_folder
-from cep.plots import save, trajectory_figure
+from cep.plots import png_bytes, save, trajectory_figure
 from motdiff.crops import check_size
-from motdiff.estimators.base import SMALLEST_PX, Estimator, MotionEstimate
+from motdiff.estimators.base import SMALLEST_PX, Estimator, MotionEstimate, load_estimator
 from motdiff.gyro import GyroTrace
+from motdiff.io.plugins import is_reference
 from motdiff.io.trajectories import StoredMotion, write_motion
 from motdiff.psf_frame import PSF_PX
 
 __all__ = [
     "CALIBRATION_FILES",
     "METHODS",
-    "calibrate",
+    "Calibration",
     "check_options",
     "check_photo",
     "check_texture",
+    "estimate_motion",
     "make_estimator",
     "write_calibration",
 ]
+
+FloatArray = NDArray[np.float64]
 
 METHODS = ("motdiff", "pmp", "reference", "point", "gyro")
 """Names of the estimators: blind by diffusion model and classically, with a sharp photo, of a light, by gyroscope."""
@@ -57,8 +63,8 @@ def check_options(method: str, options: Mapping[str, object]) -> None:
     ValueError
         If the method is not known, or an option it needs is missing or one that is not its own is given.
     """
-    if method not in METHODS:
-        raise ValueError(f"method: must be one of {', '.join(METHODS)}, got {method!r}")
+    if method not in METHODS and not is_reference(method):
+        raise ValueError(f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}")
     given = {name for name, value in options.items() if value is not None}
     wanted = _NEEDED.get(method, set())
     for name in sorted(wanted - given):
@@ -83,7 +89,7 @@ def make_estimator(
 
     Parameters
     ----------
-    method : {"motdiff", "pmp", "reference", "point", "gyro"}
+    method : {"motdiff", "pmp", "reference", "point", "gyro"}, or ``module:name`` of the user's own
     samples : int, optional
         For "motdiff": motions drawn.
     seed : int
@@ -112,6 +118,8 @@ def make_estimator(
             "exposure_s": exposure_s,
         },
     )
+    if is_reference(method):
+        return load_estimator(method)
     if method == "reference" and sharp is not None:
         from motdiff.estimators.reference import ReferenceEstimator
 
@@ -150,22 +158,90 @@ def make_estimator(
     return made
 
 
-def calibrate(photo: ArrayLike, estimator: Estimator | None = None) -> MotionEstimate:
-    """Estimate the motion in a photo, which must show something.
+@dataclass(frozen=True)
+class Calibration(MotionEstimate):
+    """The motion estimated from a photo, with the photo: it shows and saves itself.
+
+    Attributes
+    ----------
+    photo : (H, W) or (H, W, 3) float, linear light 0..1
+        The other attributes are those of :class:`motdiff.estimators.base.MotionEstimate`.
+    """
+
+    photo: FloatArray = field(kw_only=True, repr=False)
+
+    def save(
+        self, folder: Path | str, *, source: Mapping[str, object] | None = None, force: bool = False
+    ) -> dict[str, Path]:
+        """Write the files of :data:`CALIBRATION_FILES`; see :func:`write_calibration`."""
+        return write_calibration(folder, self, self.photo, source=source, force=force)
+
+    def _repr_png_(self) -> bytes:
+        return png_bytes(trajectory_figure(self.photo, self.best))
+
+    def __repr__(self) -> str:
+        path = self.best
+        return (
+            f"<Calibration by {self.method}: path of {path.length_px:.1f} px, {path.extent_px:.1f} px wide, "
+            f"direction {path.direction}, confidence {self.confidence:.2f}>"
+        )
+
+
+def estimate_motion(
+    photo: ArrayLike,
+    *,
+    method: str | Estimator = "motdiff",
+    samples: int | None = None,
+    seed: int = 0,
+    sharp: ArrayLike | None = None,
+    gyro: GyroTrace | None = None,
+    focal_px: float | None = None,
+    start_s: float | None = None,
+    exposure_s: float | None = None,
+    progress: Callable[[float, str], None] = lambda _share, _what: None,
+) -> Calibration:
+    """Estimate the camera's motion from a blurred photo.
 
     Parameters
     ----------
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1
-    estimator : Estimator, optional
-        The blind one (``motdiff``) when omitted.
+    method : str or Estimator
+        One of :data:`METHODS`; an estimator of your own, or its ``module:name``.
+    samples, seed, sharp, gyro, focal_px, start_s, exposure_s, progress
+        As of :func:`make_estimator`.
 
     Raises
     ------
     ValueError
-        If the photo is constant, black or white, or the estimator refuses it.
+        If the method or an option is not valid, the photo is too small or without texture, or the estimator refuses it.
+
+    Examples
+    --------
+    >>> from cep.optics.capture import capture
+    >>> from motdiff.trajectory import Trajectory
+    >>> rng = np.random.default_rng(0)
+    >>> scene = np.kron(rng.random((16, 16)), np.ones((8, 8)))
+    >>> blurred = capture(scene, Trajectory.straight(9.0), rng=rng)
+    >>> found = estimate_motion(blurred, method="reference", sharp=scene[5:-5, 5:-5])
+    >>> round(found.best.length_px), found.best.direction
+    (9, 'unknown')
     """
-    check_texture(photo)
-    return (estimator or make_estimator()).estimate(np.asarray(photo, dtype=np.float64))
+    options: dict[str, Any] = {
+        "samples": samples, "sharp": sharp, "gyro": gyro, "focal_px": focal_px, "start_s": start_s,
+        "exposure_s": exposure_s,
+    }  # fmt: skip
+    if isinstance(method, str):
+        check_options(method, options)
+        check_photo(photo, method)  # before anything slow is loaded
+        estimator = make_estimator(method, seed=seed, progress=progress, **options)
+    elif given := [name for name, value in options.items() if value is not None]:
+        raise ValueError(f"{given[0]}: not valid with an estimator of your own")
+    else:
+        check_texture(photo)
+        estimator = method
+    pixels = np.asarray(photo, dtype=np.float64)
+    found = estimator.estimate(pixels)
+    return Calibration(**{one.name: getattr(found, one.name) for one in fields(MotionEstimate)}, photo=pixels)
 
 
 def check_photo(photo: ArrayLike, method: str) -> None:

@@ -16,7 +16,7 @@ from cep.io.files import plain
 from cep.io.images import PHOTO_SUFFIXES, read_image, read_photo
 from cep.jobs.cells import Figure
 from cep.jobs.fingerprint import source_version
-from cep.workflows.calibrate import check_photo, make_estimator
+from cep.workflows.calibrate import METHODS, estimate_motion
 from motdiff.estimators.base import MotionEstimate
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
@@ -177,11 +177,9 @@ def estimate_photo(
         read = read_photo(photo, gamma=gamma)
         sharp_pixels = None if sharp is None else read_image(sharp, gamma=gamma, variable="x")
         began_s = time.perf_counter()
-        check_photo(read.pixels, method)
         # as many as there are workers run at once, and sums must not depend on how many do
         with one_thread() if method in _WITH_TORCH else nullcontext():
-            estimator = make_estimator(method, samples=samples, seed=seed, sharp=sharp_pixels)
-            found = estimator.estimate(read.pixels)
+            found = estimate_motion(read.pixels, method=method, samples=samples, seed=seed, sharp=sharp_pixels)
     except ValueError as error:
         raise ValueError(str(error).removeprefix(f"{photo}: ")) from None
     seconds = time.perf_counter() - began_s
@@ -208,7 +206,8 @@ def estimator_version(method: str) -> str:
         from motdiff.weights import DEFAULT_WEIGHTS
 
         files.append(DEFAULT_WEIGHTS)
-    followed = [f"motdiff.estimators.{method}", "motdiff.simulate"]
+    named = f"motdiff.estimators.{method}" if method in METHODS else method.partition(":")[0]
+    followed = [named, "motdiff.simulate"]
     decoding = ["cep.io.images", "motdiff.io.decoding"]
     return source_version(followed, alone=[__name__, "cep.workflows.calibrate", *decoding], files=files)
 

@@ -19,7 +19,7 @@ from cep.restoration import restore
 from cep.restoration.direction import DirectionResult, detect_direction
 from cep.search.problem import SearchProblem, open_range_of_duty
 from cep.search.recipe import Found
-from cep.workflows.calibrate import calibrate, check_photo, make_estimator
+from cep.workflows.calibrate import estimate_motion
 from cep.workflows.compare import BaselineRow, compare, expected_psnr_db
 from cep.workflows.optimize import Search, search
 from motdiff.crops import luminance
@@ -129,11 +129,12 @@ def run_chain(
     """
     clock = _Clock(tell)
     clock.begin(0.0, "estimating the motion")
-    if estimator is None:
-        check_photo(scene.photo, "motdiff")  # before anything slow is loaded
-    blind = estimator or make_estimator(progress=lambda share, what: tell(_BLIND_SHARE * share, what))
-    estimate = calibrate(scene.photo, blind)
-    motion = estimate.trajectories[0]
+    estimate = estimate_motion(
+        scene.photo,
+        method=estimator or "motdiff",
+        progress=lambda share, what: tell(_BLIND_SHARE * share, what),
+    )
+    motion = estimate.best
 
     clock.begin(_BLIND_SHARE, "searching the code")
     count = chips or int(np.clip(round(motion.length_px), 8, _MOST_CHIPS))

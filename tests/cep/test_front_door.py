@@ -2,7 +2,7 @@
 
 import ast
 import inspect
-import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,12 +12,13 @@ import pytest
 
 import cep as package
 from motdiff.io.plugins import load_object
+from motdiff.io.trajectories import read_motion
 from motdiff.simulate import blur_valid
 
 NAMES = sorted(set(package.__all__) - {"__version__"})
 PLUGIN = """
 import numpy as np
-from cep import ShutterCode
+from cep import ShutterCode, Trajectory
 
 code = ShutterCode("110100", 20_000)
 bits = "1011"
@@ -31,6 +32,12 @@ def as_it_is(photo, psf):
 
 def cut(photo, psf):
     return photo[:-1]
+
+class Straight:
+    def estimate(self, photo):
+        from motdiff.estimators.base import MotionEstimate
+        motion = Trajectory.straight(7.0)
+        return MotionEstimate("straight", (motion,), (1.0,), motion.psf(), 0.5)
 """
 
 
@@ -106,6 +113,24 @@ def test_a_restoration_of_ones_own(plugin):
         package.restore(photo, trajectory=path, method=f"{plugin}:number")
 
 
+def test_an_estimator_of_ones_own(plugin, tmp_path):
+    photo = np.random.default_rng(0).random((40, 50))
+    found = package.estimate_motion(photo, method=f"{plugin}:Straight")
+    assert found.best.length_px == pytest.approx(7.0)
+    again = package.estimate_motion(photo, method=load_object(f"{plugin}:Straight")())
+    assert again.best.length_px == found.best.length_px
+    assert "path of 7.0 px" in repr(found)
+    assert found._repr_png_().startswith(b"\x89PNG")
+    files = found.save(tmp_path / "motion")
+    assert read_motion(files["trajectory.json"]).trajectory.length_px == pytest.approx(7.0)
+    with pytest.raises(ValueError, match=r"^samples: not valid with an estimator"):
+        package.estimate_motion(photo, method=load_object(f"{plugin}:Straight")(), samples=3)
+    with pytest.raises(ValueError, match=r"^samples: not valid with method="):
+        package.estimate_motion(photo, method=f"{plugin}:Straight", samples=3)
+    with pytest.raises(ValueError, match="has no method estimate"):
+        package.estimate_motion(photo, method=f"{plugin}:number")
+
+
 def test_commands_take_them(cep, workplace, plugin):
     Path(workplace / f"{plugin}.py").write_text(PLUGIN)
     sharp = cep.succeeds("deblur", "blurred.png", "--trajectory", "trajectory.json", "--method", f"{plugin}:as_it_is")
@@ -116,7 +141,14 @@ def test_commands_take_them(cep, workplace, plugin):
         "deblur", "blurred.png", "--trajectory", "trajectory.json", "--method", f"{plugin}:nothing", "-o", "x.png"
     )
     assert f"{plugin} has no 'nothing'" in line
-    assert json.loads(json.dumps(sharp))["direction"] == "unknown"
+    assert sharp["direction"] == "unknown"
+    own = ("--method", f"{plugin}:Straight")
+    assert cep.succeeds("calibrate", "blurred.png", *own, "-o", "motion")["length_px"] == pytest.approx(7.0)
+    Path("shots").mkdir()
+    for name in ("a.png", "b.png"):
+        shutil.copy("blurred.png", f"shots/{name}")
+    folder = cep.succeeds("calibrate", "shots", *own, "-o", "motions", "--workers", "2")
+    assert [one["length_px"] for one in folder["photos"].values()] == pytest.approx([7.0, 7.0])
 
 
 def test_a_module_that_fails_is_named_in_one_line(tmp_path, monkeypatch):

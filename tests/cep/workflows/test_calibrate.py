@@ -11,7 +11,7 @@ import pytest
 
 from cep.io.files import read_psf
 from cep.io.images import read_image, write_image
-from cep.workflows.calibrate import CALIBRATION_FILES, METHODS, calibrate, make_estimator, write_calibration
+from cep.workflows.calibrate import CALIBRATION_FILES, METHODS, estimate_motion, make_estimator, write_calibration
 from motdiff.estimators.base import MotionEstimate
 from motdiff.gyro import GyroTrace
 from motdiff.io.trajectories import read_motion
@@ -100,13 +100,13 @@ def test_a_seed_does_no_harm_to_a_method_that_draws_nothing():
 
 
 def test_calibration_is_blind_unless_told_otherwise(made):
-    found = calibrate(np.random.default_rng(0).random((50, 60)))
+    found = estimate_motion(np.random.default_rng(0).random((70, 80)))
     assert len(made) == 1
     assert found.trajectories == (BENT,)
 
 
 def test_a_steady_turn_gives_a_straight_path():
-    found = calibrate(np.random.default_rng(0).random((50, 60)), make_estimator("gyro", **GYRO))
+    found = estimate_motion(np.random.default_rng(0).random((50, 60)), method="gyro", **GYRO)
     assert found.trajectories[0].direction == "known"
     assert found.trajectories[0].length_px == pytest.approx(500 * 0.1 * np.hypot(0.1, 0.2), rel=1e-3)
 
@@ -114,7 +114,7 @@ def test_a_steady_turn_gives_a_straight_path():
 @pytest.mark.parametrize(
     ("method", "options", "message"),
     [
-        ("magic", {}, "method: must be one of motdiff, pmp, reference, point, gyro, got 'magic'"),
+        ("magic", {}, "method: must be one of motdiff, pmp, reference, point, gyro, or module:name, got .magic."),
         ("reference", {}, "sharp: needed with method='reference'"),
         ("gyro", GYRO | {"focal_px": None}, "focal_px: needed with method='gyro'"),
         ("pmp", {"sharp": np.eye(40)}, "sharp: not valid with method='pmp'"),
@@ -135,7 +135,7 @@ def test_what_a_method_needs_is_said(method, options, message):
 @pytest.mark.parametrize(("level", "shade"), [(0.0, "black"), (1.0, "white"), (0.4, "the same")])
 def test_a_photo_without_texture_is_refused(level, shade):
     with pytest.raises(ValueError, match=f"{shade} all over"):
-        calibrate(np.full((64, 64, 3), level), make_estimator("point"))
+        estimate_motion(np.full((64, 64, 3), level), method="point")
 
 
 def test_the_files_hold_the_estimate(tmp_path):
