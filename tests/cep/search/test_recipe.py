@@ -118,6 +118,15 @@ def test_ctrl_c_among_the_baselines_returns_the_best_so_far(monkeypatch, at):
 # -- the code returned never loses to a row of its own table ----------------------------------------------------------
 
 
+def test_a_search_that_ends_worse_than_a_baseline_returns_it(monkeypatch):
+    problem = SearchProblem.along(BENT, chips=9, open_range=(3, 6), objective="mse")
+    poor = SimpleNamespace(code=ShutterCode("101010000"), objective=99.0, steps=1, stopped="steps")
+    monkeypatch.setattr(recipe, "anneal", lambda _problem, **_options: poor)
+    found = search_code(problem, rng=np.random.default_rng(0))
+    kept = {row.code: row.cost_db for row in found.baselines if row.within_limits}
+    assert found.objective == kept[found.code] == min(kept.values())
+
+
 @st.composite
 def problems(draw):
     """Small problems: limits on light and runs, forced chips, ramps, motions that may differ, all objectives."""
