@@ -135,6 +135,18 @@ def test_every_frame_keeps_the_limits(limits, objective):
     assert len(set(found.codes)) > 1
 
 
+def test_no_start_beats_the_frames_returned():
+    """Also where the coarse samples that rank the codes would drop it."""
+    path = Trajectory.straight(17.3)
+    problem = SearchProblem.along(path, chips=16, open_range=(6, 9), objective="min-mtf")
+    fine = Objective(problem, oversampling=64, dtype=np.float64)
+    codes = problem.random_codes(60, rng=np.random.default_rng(2))
+    starts = [[ShutterCode.from_array(code)] * 2 for code in codes]
+    best = joint_cost(fine, np.repeat(codes[:, None], 2, axis=1)).min()
+    found = anneal_frames(problem, 2, rng=np.random.default_rng(0), steps=8, start=starts, threads=1)
+    assert found.objective <= best
+
+
 def test_two_frames_beat_the_best_code_played_twice():
     problem = SearchProblem(chips=16, open_range=(8, 8), objective="noise")
     fine = Objective(problem, oversampling=64, dtype=np.float64)
