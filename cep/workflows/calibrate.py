@@ -220,7 +220,7 @@ def estimate_motion(
     >>> from cep.optics.capture import capture
     >>> from motdiff.trajectory import Trajectory
     >>> rng = np.random.default_rng(0)
-    >>> scene = np.kron(rng.random((16, 16)), np.ones((8, 8)))
+    >>> scene = np.kron(rng.random((20, 20)), np.ones((8, 8)))
     >>> blurred = capture(scene, Trajectory.straight(9.0), rng=rng)
     >>> found = estimate_motion(blurred, method="reference", sharp=scene[5:-5, 5:-5])
     >>> round(found.best.length_px), found.best.direction
