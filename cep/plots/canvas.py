@@ -92,6 +92,8 @@ def undated(figure: Figure, kind: str, *, dpi: int = _DPI) -> bytes:
     """
     from matplotlib import rc_context
 
+    if kind == "png":
+        return png_bytes(figure, dpi=dpi)
     stream = io.BytesIO()
     dates = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
     with rc_context({"svg.hashsalt": "coded-exposure"}):
