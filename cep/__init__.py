@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from cep.search.bounding.bounds import bound
     from cep.search.problem import SearchProblem
     from cep.workflows.calibrate import estimate_motion
+    from cep.workflows.compare import compare
+    from cep.workflows.optimize import optimize
     from cep.workflows.shutter import open_shutter
     from hw.device import DeviceProfile
     from motdiff.trajectory import Trajectory
@@ -52,11 +54,13 @@ __all__ = [
     "capture",
     "certify",
     "coded_psf",
+    "compare",
     "detect_direction",
     "estimate_motion",
     "load_code",
     "mtf",
     "open_shutter",
+    "optimize",
     "read_image",
     "restore",
     "verify",
@@ -74,11 +78,13 @@ _MODULES = {
     "capture": "cep.optics.capture",
     "certify": "cep.proofs.certify.certificate",
     "coded_psf": "cep.optics.exposure",
+    "compare": "cep.workflows.compare",
     "detect_direction": "cep.restoration.direction",
     "estimate_motion": "cep.workflows.calibrate",
     "load_code": "cep.codes.sources",
     "mtf": "cep.optics.exposure",
     "open_shutter": "cep.workflows.shutter",
+    "optimize": "cep.workflows.optimize",
     "read_image": "cep.io.images",
     "restore": "cep.restoration.methods",
     "verify": "cep.proofs.verify.certificates",

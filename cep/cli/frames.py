@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cep.cli.console import finish, progress, table
-from cep.workflows.search_options import Task, ending, warnings_of
+from cep.workflows.search_options import Task, ending
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,7 +28,6 @@ def optimize_frames(
     frames: int,
     *,
     profile: DeviceProfile | None,
-    chip_ns: int,
     output: Path,
     force: bool,
     as_json: bool,
@@ -43,7 +42,7 @@ def optimize_frames(
     frames : int
     profile : DeviceProfile, optional
         That must be able to play every code.
-    chip_ns, output, force, as_json
+    output, force, as_json
         As the command's options.
 
     Raises
@@ -56,25 +55,24 @@ def optimize_frames(
     from cep.io.files import StoredCode, write_code
     from cep.io.outputs import claim, new_files
     from cep.search.annealing.joint import joint_figures
+    from cep.search.playable import unplayable
     from cep.search.recipe import mean_length_px
-    from cep.workflows.search_options import on_the_circle
-    from hw.program import Program
+    from cep.workflows.optimize import certificate_warnings, ended_early, searched_problem
 
     files = [output.with_name(f"{output.stem}_{number}{output.suffix}") for number in range(1, frames + 1)]
     claim(files, force=force)
     problem = task.problem
-    single, found, stopped = _search(task.searched, frames, how, length_px=mean_length_px(problem))
-    codes = [replace(code, chip_ns=chip_ns) for code in found.codes]
+    single, found, stopped = _search(searched_problem(problem), frames, how, length_px=mean_length_px(problem))
+    codes = [replace(code, chip_ns=problem.chip_ns) for code in found.codes]
     for code in codes:
-        problems = profile.check(Program.from_bits(code.bits, chip_ns=chip_ns)) if profile else ()
-        if problems:
-            raise ValueError(f"no codes were found that the device can play: {'; '.join(problems)}")
+        if reason := unplayable(code.bits, profile, code.chip_ns):
+            raise ValueError(reason)
     bits = [code.bits for code in codes]
     described = {**task.described, "frames": frames, "bits_of_frames": bits, "steps": found.steps, "stopped": stopped}
     with new_files(files) as made:  # already: Ctrl-C from here on must not lose them
         for number, (file, code) in enumerate(zip(files, codes, strict=True), 1):
             write_code(made[file], StoredCode(code, problem={**described, "frame": number}))
-    circle = replace(problem, scenarios=()) if on_the_circle(problem) else None
+    circle = replace(problem, scenarios=()) if problem.on_circle else None
 
     def together(choice: list[ShutterCode]) -> dict[str, Any]:
         on_circle = None if circle is None else problem.chips * joint_figures(circle, choice).minimum
@@ -91,7 +89,7 @@ def optimize_frames(
         "frames": frames,
         "chips": problem.chips,
         "open": [code.open_chips for code in codes],
-        "chip_ns": chip_ns,
+        "chip_ns": problem.chip_ns,
         **joint,
         "objective": found.objective,
         "each": [metrics.to_dict() for metrics in each],
@@ -101,7 +99,10 @@ def optimize_frames(
         "stopped": stopped,
         "interrupted": stopped == "interrupted",
         "seed": how.seed,
-        "warnings": warnings_of(task, how, stopped=stopped, baselines={}),
+        "warnings": [
+            *ended_early(how, stopped, how.moves(searched_problem(problem))),
+            *certificate_warnings(problem),
+        ],
     }
 
     def show(console: Console) -> None:

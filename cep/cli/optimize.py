@@ -62,12 +62,14 @@ from cep.cli.options import (
     load_motion,
     output_option,
 )
-from cep.workflows.search_options import SearchOptions, Task, ending, search_of, task_of, warnings_of
+from cep.workflows.search_options import SearchOptions, Task, ending, search_of, task_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from cep.jobs.cells import Result
+    from cep.optics.code import ShutterCode
+    from cep.search.recipe import Found
     from cep.workflows.optimize import Search
     from hw.device import DeviceProfile
     from motdiff.io.trajectories import StoredMotion
@@ -170,15 +172,15 @@ def optimize(
     Example: cep optimize --each shots_motion --chips 40 --duty 0.4:0.6 --steps 4000000
     """
     with progress("loading"):
-        from dataclasses import replace
+        from dataclasses import asdict
 
         from cep.io.files import StoredCode, write_code
         from cep.io.outputs import claim
         from cep.search.exhaustive.exact import codes_to_count
         from cep.search.limits import RunLimits
         from cep.search.playable import unplayable
-        from cep.search.recipe import mean_length_px
-        from cep.workflows.optimize import appraise, report, search
+        from cep.workflows.optimize import optimize as find
+        from cep.workflows.optimize import searched_problem, stored_search
         from hw.device import load_profile
 
         how = search_of(method, effort, steps=steps, time_s=time_s, seed=seed)
@@ -210,46 +212,34 @@ def optimize(
             raise ValueError("--each: takes the place of --trajectory and --linear, and searches one frame for each")
     if each is not None:
         optimize_folder(
-            each, task, how, profile=profile, chip_ns=chip_ns, workers=workers, dask=dask, cache=cache, output=output,
+            each, task, how, profile=profile, workers=workers, dask=dask, cache=cache, output=output,
             force=force, as_json=as_json,
         )  # fmt: skip
         return
-    problem, described = wanted.problem, wanted.described
     file = output or Path("code.json")
     if frames > 1:
         if method != "anneal":
             raise ValueError(f"--frames: not valid with --method {method}, which searches a single code")
         optimize_frames(
-            wanted, how, frames, profile=profile, chip_ns=chip_ns, output=file, force=force, as_json=as_json,
+            wanted, how, frames, profile=profile, output=file, force=force, as_json=as_json,
         )  # fmt: skip
         return
     claim([file], force=force, inputs=[] if trajectory is None else [trajectory])
-    label = f"counting {codes_to_count(wanted.searched):.2g} codes" if method == "exact" else "searching"
-    with progress(label) as tick:
-        tick(0.0)
-        found = search(
-            wanted.searched,
-            how,
-            length_px=mean_length_px(problem),
-            progress=lambda fraction, best: tick(_SEARCH_SHARE * fraction, f"{best.open_chips} open"),
-        )
-        code = replace(found.code, chip_ns=chip_ns)
+
+    def keep(code: ShutterCode, found: Found) -> None:
+        """Write the code before it is compared: Ctrl-C from here on must not lose it."""
         if reason := unplayable(code.bits, profile, chip_ns):
             raise ValueError(reason)
-        described = {**described, "steps": found.steps, "stopped": found.stopped, "proof": found.proof}
-        write_code(file, StoredCode(code, problem=described))  # already: Ctrl-C from here on must not lose it
-        tick(_SEARCH_SHARE, "comparing with other codes")
-        worth = appraise(problem, code, along=wanted.along, baselines=found.baselines, effort=how.effort)
-        write_code(file, StoredCode(code, worth.ours.metrics.to_dict(), described, worth.certificate))
-        tick(1.0)
-    told = report(found, worth)
-    result = {
-        "file": file,
-        **told,
-        "seed": seed,
-        "warnings": warnings_of(wanted, how, stopped=found.stopped, baselines=told["baselines"]),
-    }
-    straight = wanted.along is None
+        write_code(file, StoredCode(code, problem=stored_search(wanted.described, found)))
+
+    searched = searched_problem(wanted.problem)
+    label = f"counting {codes_to_count(searched):.2g} codes" if method == "exact" else "searching"
+    with progress(label) as tick:
+        tick(0.0)
+        best = find(wanted.problem, **asdict(how), along=wanted.along, progress=tick, on_found=keep)
+        best.save(file, described=wanted.described)
+    code, found, straight = best.code, best.found, best.along is None
+    result = {"file": file, **best.to_dict(), "seed": seed, "warnings": list(best.warnings)}
 
     def show(console: Console) -> None:
         from cep.io.formatting import number
@@ -265,17 +255,17 @@ def optimize(
                 row.code.open_chips,
                 *(row.metrics.in_words(name) for name in (lowest, "noise_gain_db", "mse_db")),
             )
-            for row in (worth.ours, *worth.others)
+            for row in best.comparison
         ]
         console.print(table("compared on this motion (worse direction where unknown)", columns, rows))
         console.print(
             f"certified: min {'|P|' if straight else '|H|'} lies within "
-            f"{worth.certificate['lower']:.6g}..{worth.certificate['upper']:.6g} ({worth.certificate['method']})"
+            f"{best.certificate.lower:.6g}..{best.certificate.upper:.6g} ({best.certificate.method})"
         )
-        if result["proven"] and found.proof is not None:
+        if found.stopped == "proven" and found.proof is not None:
             console.print(f"proven: no code within the limits is better on {found.proof['domain']}")
-        elif worth.bound is not None:
-            console.print(f"{worth.figure}: no code with so many open chips can do better than {number(worth.bound)}")
+        elif best.bound is not None:
+            console.print(f"{best.figure}: no code with so many open chips can do better than {number(best.bound)}")
 
     finish(result, as_json=as_json, show=show)
 
@@ -300,7 +290,6 @@ def optimize_folder(
     how: Search,
     *,
     profile: DeviceProfile | None,
-    chip_ns: int,
     workers: int | None,
     dask: str | None,
     cache: Path | None,
@@ -319,7 +308,7 @@ def optimize_folder(
     how : Search
     profile : DeviceProfile, optional
         That must be able to play every code.
-    chip_ns, workers, dask, cache, output, force, as_json
+    workers, dask, cache, output, force, as_json
         As the command's options.
 
     Raises
@@ -347,10 +336,7 @@ def optimize_folder(
             Cell(
                 (name,),
                 optimize_motion,
-                {
-                    "problem": one.problem, "searched": one.searched, "along": one.along, "chip_ns": chip_ns,
-                    "how": how,
-                },
+                {"problem": one.problem, "along": one.along, "how": how},
                 version,
             )
             for name, one in tasks.items()
@@ -366,8 +352,7 @@ def optimize_folder(
             file = target / name / _CODE
             file.parent.mkdir(parents=True, exist_ok=True)
             write_code(file, stored)
-            warnings = warnings_of(tasks[name], how, stopped=told["stopped"], baselines=told["baselines"])
-            codes[name] = {"file": file, **told, "warnings": warnings}
+            codes[name] = {"file": file, **told}
 
         outcome = run_folder(
             cells, tick, noun="codes", cache=cache or target / "cells", workers=workers, dask=dask, write=write

@@ -3,13 +3,49 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
 
 from cep.optics.response import ShutterResponse
 from cep.search.limits import RunLimits
 from hw.device import DeviceProfile
 from hw.program import Program
 
-__all__ = ["limits_of_device", "response_of_device", "unplayable"]
+__all__ = ["Playable", "limits_of_device", "response_of_device", "unplayable", "within_device"]
+
+
+@dataclass(frozen=True)
+class Playable:
+    """Limits of the codes that a device can play and that keep the user's limits too.
+
+    Attributes
+    ----------
+    runs : RunLimits
+    open_range : (int, int)
+        Fewest and most open chips.
+    response : ShutterResponse or None
+        How its shutter opens and closes; None where it does so at once.
+    """
+
+    runs: RunLimits
+    open_range: tuple[int, int]
+    response: ShutterResponse | None
+
+
+def within_device(
+    profile: DeviceProfile, *, chips: int, chip_ns: int, open_range: tuple[int, int], runs: RunLimits
+) -> Playable:
+    """Tighten limits by those of a device, see :func:`limits_of_device` and :func:`response_of_device`.
+
+    Raises
+    ------
+    ValueError
+        If the device can play no such code; the line says why.
+    """
+    limits, most = limits_of_device(profile, chips=chips, chip_ns=chip_ns)
+    low, high = open_range
+    if most < low:
+        raise ValueError(f"{profile.name}: at most {most} of {chips} chips may be open, at least {low} were asked for")
+    return Playable(runs.tightened(limits), (low, min(high, most)), response_of_device(profile, chip_ns))
 
 
 def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tuple[RunLimits, int]:

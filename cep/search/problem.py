@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,11 @@ from cep.optics.response import ShutterResponse
 from cep.optics.timeline import check_lengths, checked_edges
 from cep.proofs.measure import CodeMetrics, measure, worst_of
 from cep.search.limits import Limits, RunLimits, check_feasible, checked_mask
+from cep.search.playable import within_device
 from cep.search.sampling import draw
 from cep.search.scenarios import Scenario
+from hw.device import DeviceProfile, load_profile
+from motdiff.estimators.base import MotionEstimate
 from motdiff.trajectory import Trajectory
 
 __all__ = ["OBJECTIVES", "Scenario", "SearchProblem", "open_range_of_duty"]
@@ -51,6 +54,8 @@ class SearchProblem:
         For the objective "mse".
     response : ShutterResponse, optional
         How the shutter opens and closes along the scenarios; at once when omitted.
+    chip_ns : int
+        Duration of a chip, ns.
 
     Raises
     ------
@@ -74,8 +79,11 @@ class SearchProblem:
     runs: RunLimits = field(default_factory=RunLimits)
     camera: Camera = field(default_factory=Camera)
     response: ShutterResponse | None = None
+    chip_ns: int = 1_000_000
 
     def __post_init__(self) -> None:
+        if not isinstance(self.chip_ns, int) or self.chip_ns < 1:
+            raise ValueError(f"chip_ns: must be a whole number of nanoseconds above 0, got {self.chip_ns!r}")
         if not isinstance(self.chips, int) or self.chips < 1:
             raise ValueError(f"chips: must be a whole number of at least 1, got {self.chips!r}")
         for name, allowed in (("direction", ("auto", "unknown", "forward")), ("rule", ("worst", "mean"))):
@@ -100,9 +108,78 @@ class SearchProblem:
         self._check_feasible()
 
     @classmethod
-    def along(cls, *trajectories: Trajectory, chips: int, **options: object) -> SearchProblem:
-        """Make a problem of equally weighted trajectories; ``options`` are the other fields."""
-        return cls(chips=chips, scenarios=tuple(Scenario(t) for t in trajectories), **options)  # type: ignore[arg-type]
+    def along(
+        cls,
+        *motions: Trajectory | MotionEstimate,
+        chips: int,
+        open_range: tuple[int, int] | None = None,
+        duty: tuple[float, float] | None = None,
+        exposure_s: float | None = None,
+        device: DeviceProfile | str | None = None,
+        **options: Any,
+    ) -> SearchProblem:
+        """Make a problem of equally weighted motions.
+
+        Parameters
+        ----------
+        *motions : Trajectory or MotionEstimate
+            Of an estimate its best trajectory.
+        chips : int
+        open_range : (int, int), optional
+            Fewest and most open chips.
+        duty : (float, float), optional
+            Instead of the open range, least and largest open fraction.
+        exposure_s : float, optional
+            Length of the exposure, which sets ``chip_ns``.
+        device : DeviceProfile or str, optional
+            Shutter that must be able to play the codes, or its name as of :func:`hw.device.load_profile`: its limits
+            tighten ``runs`` and the open range, and the search counts its rise and fall.
+        **options
+            The other fields.
+
+        Raises
+        ------
+        ValueError
+            If an argument is malformed or they conflict.
+
+        Examples
+        --------
+        >>> path = Trajectory.straight(40.0)
+        >>> problem = SearchProblem.along(path, chips=40, duty=(0.4, 0.6), exposure_s=0.004, device="flc")
+        >>> problem.open_range, problem.chip_ns, problem.runs.min_open
+        ((16, 24), 100000, 1)
+        """
+        if duty is not None:
+            if open_range is not None:
+                raise ValueError("duty and open_range: give one of them")
+            open_range = open_range_of_duty(chips, *duty)
+        if exposure_s is not None:
+            if "chip_ns" in options:
+                raise ValueError("exposure_s and chip_ns: give one of them")
+            options["chip_ns"] = round(1e9 * exposure_s / chips)
+        if device is not None:
+            played = within_device(
+                load_profile(device) if isinstance(device, str) else device,
+                chips=chips,
+                chip_ns=options.get("chip_ns", cls.chip_ns),
+                open_range=open_range or (1, chips),
+                runs=options.get("runs", RunLimits()),
+            )
+            open_range = played.open_range
+            options |= {"runs": played.runs, "response": played.response}
+        paths = (motion if isinstance(motion, Trajectory) else motion.best for motion in motions)
+        return cls(chips=chips, scenarios=tuple(Scenario(path) for path in paths), open_range=open_range, **options)
+
+    @property
+    def on_circle(self) -> bool:
+        """Whether the code's polynomial alone decides: one uniform straight motion, chips on time, no ramps.
+
+        Zeros that come from the chip itself are no fault of the code.
+        """
+        if len(self.scenarios) != 1 or self.response is not None:
+            return False
+        scenario = self.scenarios[0]
+        return scenario.edges is None and uniform_length_px(scenario.trajectory) is not None
 
     @property
     def objective_mix(self) -> tuple[tuple[str, float], ...]:

@@ -13,8 +13,9 @@ from cep.proofs.measure import CodeMetrics
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Baseline
+from cep.search.recipe import baselines as find_baselines
 
-__all__ = ["BaselineRow", "compare", "expected_psnr_db"]
+__all__ = ["BaselineRow", "Comparison", "compare", "expected_psnr_db"]
 
 
 def expected_psnr_db(
@@ -69,34 +70,66 @@ class BaselineRow:
         return self.name if self.within_limits else f"{self.name} (outside the limits)"
 
 
+class Comparison(tuple[BaselineRow, ...]):
+    """Rows of a comparison, the code itself first; printed as a table."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        cells = [("", "open", "min MTF", "noise gain, dB", "MSE, dB"), *map(_cells, self)]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        return "\n".join(
+            "  ".join([row[0].ljust(widths[0]), *(text.rjust(n) for text, n in zip(row[1:], widths[1:], strict=True))])
+            for row in cells
+        )
+
+
 def compare(
     problem: SearchProblem,
     code: ShutterCode,
     *,
-    baselines: Iterable[Baseline],
-    metrics: CodeMetrics | None = None,
-) -> tuple[BaselineRow, ...]:
-    """Measure ``code``, and what would be used instead of it, on the same motions; first row the code itself.
+    baselines: Iterable[Baseline] | None = None,
+    seed: int = 0,
+) -> Comparison:
+    """Measure a code, and what would be used instead of it, on the same motions.
 
     Parameters
     ----------
     problem : SearchProblem
     code : ShutterCode
-    baselines : iterable of Baseline
-        As the code's search returned them, or :func:`cep.search.recipe.baselines` for a code from elsewhere.
-    metrics : CodeMetrics, optional
-        The code's own, where they are known already.
+    baselines : iterable of Baseline, optional
+        As the code's search returned them; :func:`cep.search.recipe.baselines` of the problem when omitted.
+    seed : int
+        Of the baselines that are searched or drawn here.
+
+    Examples
+    --------
+    >>> from motdiff.trajectory import Trajectory
+    >>> path = Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])
+    >>> problem = SearchProblem.along(path, chips=8, objective="mse")
+    >>> rows = compare(problem, ShutterCode("11100101"))
+    >>> [row.name for row in rows][:4]
+    ['this code', 'open shutter', 'best snapshot', 'best strobe']
     """
-    return (
-        BaselineRow("this code", code, metrics or problem.measure(code), problem.allows(code)),
-        *(
-            BaselineRow(
-                one.name,
-                ShutterCode(one.code.bits, code.chip_ns),
-                problem.measure(one.code, budget=0),
-                one.within_limits,
-                one.stopped_early,
-            )
-            for one in baselines
-        ),
+    others = find_baselines(problem, rng=np.random.default_rng(seed)) if baselines is None else baselines
+    own = BaselineRow("this code", code, problem.measure(code), problem.allows(code))
+    return Comparison(
+        (
+            own,
+            *(
+                BaselineRow(
+                    one.name,
+                    ShutterCode(one.code.bits, code.chip_ns),
+                    problem.measure(one.code, budget=0),
+                    one.within_limits,
+                    one.stopped_early,
+                )
+                for one in others
+            ),
+        )
     )
+
+
+def _cells(row: BaselineRow) -> tuple[str, ...]:
+    figures = (row.metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db"))
+    return (row.label, str(row.code.open_chips), *(f"{x:.4g}" if isinstance(x, float) else str(x) for x in figures))

@@ -4,37 +4,44 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from cep.io.files import StoredCode, plain
+from cep.io.files import StoredCode, plain, write_code
 from cep.optics.code import ShutterCode
+from cep.optics.path_limits import check_frame, check_resolved
+from cep.proofs.certify.certificate import Certificate, certify
 from cep.proofs.measure import CodeMetrics
 from cep.search.problem import SearchProblem
+from cep.search.recipe import Found, baselines_so_far, best_of, judge_of, mean_length_px, search_code
+from cep.workflows.compare import Comparison, compare
 from motdiff.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from cep.jobs.cells import Figure
-    from cep.search.recipe import Baseline, Found
-    from cep.workflows.compare import BaselineRow
 
 __all__ = [
     "STANDARD_TIME_S",
-    "Appraisal",
+    "Optimum",
     "Search",
-    "appraise",
+    "certificate_warnings",
     "code_from_figures",
+    "ended_early",
+    "optimize",
     "optimize_motion",
-    "report",
     "search",
+    "searched_problem",
+    "stored_search",
 ]
 
 STANDARD_TIME_S = 60.0
 """Limit of an annealing that is given neither moves nor a time, seconds."""
 
+_SEARCH_SHARE = 0.9  # of the time: comparing and certifying take the rest
 _RELAXED = 128  # chips to which the relaxation takes seconds
 _ROUNDED = 16  # codes drawn from it
 
@@ -90,16 +97,20 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Appraisal:
-    """What a code is worth.
+class Optimum:
+    """A searched code and what it is worth.
 
     Attributes
     ----------
-    ours : BaselineRow
-        The code, worst of each figure over the problem's motions.
-    others : tuple of BaselineRow
-        What would be used instead of it.
-    certificate : dict
+    problem : SearchProblem
+    how : Search
+    found : Found
+        The search or the proof: cost, moves, seconds, and what ended it.
+    comparison : Comparison
+        The code first, then what would be used instead of it.
+    along : Trajectory or None
+        What the certificate is for; None: the unit circle, where only the code's polynomial matters.
+    certificate : Certificate
         Of the code's smallest MTF.
     figure : str
         Name of what is bounded, with its unit; empty where nothing bounds the objective.
@@ -107,12 +118,196 @@ class Appraisal:
         What no code of so much light can exceed, and how far off this one is: 0..1, or dB for the noise.
     """
 
-    ours: BaselineRow
-    others: tuple[BaselineRow, ...]
-    certificate: dict[str, Any]
+    problem: SearchProblem
+    how: Search
+    found: Found
+    comparison: Comparison
+    along: Trajectory | None
+    certificate: Certificate
     figure: str
     bound: float | None
     gap: float | None
+
+    @property
+    def code(self) -> ShutterCode:
+        """The code."""
+        return self.comparison[0].code
+
+    @property
+    def metrics(self) -> CodeMetrics:
+        """Its figures, worst of each over the problem's motions and directions."""
+        return self.comparison[0].metrics
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know besides the figures, one sentence each."""
+        found, moves = self.found, self.how.moves(searched_problem(self.problem))
+        early = (row.name for row in self.comparison if row.stopped_early)
+        # with a time alone every run differs
+        repeats = found.stopped == "interrupted" or self.how.method == "exact" or moves is not None
+        return (
+            *ended_early(self.how, found.stopped, moves),
+            *(
+                f"the search of the {name} was stopped early, by the time or Ctrl-C: another run may give another"
+                for name in (early if repeats else ())
+            ),
+            *certificate_warnings(self.problem),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON, as ``cep optimize --json`` prints them."""
+        code, found = self.code, self.found
+        return {
+            "bits": code.bits,
+            "chips": code.chips,
+            "open": code.open_chips,
+            "duty": code.duty,
+            "chip_ns": code.chip_ns,
+            **self.metrics.to_dict(),
+            "objective": found.objective,
+            "proven": found.stopped == "proven",
+            "certificate": self.certificate.to_dict(),
+            "bound": self.bound,
+            "gap": self.gap,
+            "seconds": found.seconds,
+            "steps": found.steps,
+            "stopped": found.stopped,
+            "interrupted": found.stopped == "interrupted",
+            "baselines": {
+                row.name: {
+                    "bits": row.code.bits,
+                    "open": row.code.open_chips,
+                    "within_limits": row.within_limits,
+                    "stopped_early": row.stopped_early,
+                }
+                | row.metrics.to_dict()
+                for row in self.comparison[1:]
+            },
+        }
+
+    def stored(self, described: Mapping[str, Any] | None = None) -> StoredCode:
+        """Return what a ``code.json`` holds of it.
+
+        Parameters
+        ----------
+        described : mapping, optional
+            What the file says of the problem; a summary of it when omitted.
+        """
+        about = stored_search(described or _summary(self.problem, self.how), self.found)
+        return StoredCode(self.code, self.metrics.to_dict(), about, self.certificate.to_dict())
+
+    def save(self, path: Path | str, *, described: Mapping[str, Any] | None = None) -> None:
+        """Write :meth:`stored` as a ``code.json``, whole or not at all."""
+        write_code(path, self.stored(described))
+
+    def __repr__(self) -> str:
+        lines = [f"{self.code.bits}: {self.code.open_chips} of {self.code.chips} chips open", repr(self.comparison)]
+        if self.bound is not None:
+            lines.append(f"no code with so many open chips has a {self.figure.split(',')[0]} beyond {self.bound:.4g}")
+        return "\n".join([*lines, *self.warnings])
+
+    def _repr_png_(self) -> bytes:
+        from cep.plots import mtf_figure, png_bytes
+
+        path = self.along or self.problem.scenarios[0].trajectory
+        return png_bytes(mtf_figure(path, {"open shutter": None, "this code": self.code}))
+
+
+def optimize(
+    problem: SearchProblem,
+    *,
+    method: Literal["anneal", "exact"] = "anneal",
+    steps: int | None = None,
+    time_s: float | None = None,
+    effort: Literal["quick", "sdp"] = "quick",
+    seed: int = 0,
+    along: Trajectory | None = None,
+    threads: int | None = None,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+    on_found: Callable[[ShutterCode, Found], None] = lambda _code, _found: None,
+) -> Optimum:
+    """Search the code that is best along a problem's motions, certify it, and compare it with what is used instead.
+
+    No code of the comparison that keeps the problem's limits is better by its objective.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    method, steps, time_s, effort, seed
+        As of :class:`Search`.
+    along : Trajectory, optional
+        What the certificate is for; the first scenario's path when omitted. Where the code's polynomial alone decides,
+        it is for the unit circle.
+    threads : int, optional
+        As many as there are cores when omitted; the code does not depend on it.
+    progress : callable, optional
+        Called with the finished share, 0..1, and a note.
+    on_found : callable, optional
+        Called with the code before it is compared and certified, which may take seconds.
+
+    Raises
+    ------
+    ValueError
+        If the problem has no motion, its paths cannot be measured or are too short for so many chips, or the method
+        does not solve it.
+
+    Examples
+    --------
+    >>> problem = SearchProblem.along(Trajectory.straight(16.0), chips=16, open_range=(8, 8))
+    >>> best = optimize(problem, method="exact")
+    >>> best.code.bits, best.found.stopped
+    ('1010111100100100', 'proven')
+    """
+    how = Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)
+    if not problem.scenarios:
+        raise ValueError("scenarios: need a motion to compare and certify codes along")
+    motion = along or problem.scenarios[0].trajectory
+    check_frame(motion)
+    check_resolved(motion, problem.chips)
+    found = search(
+        searched_problem(problem),
+        how,
+        length_px=mean_length_px(problem),
+        threads=threads,
+        progress=lambda share, best: progress(_SEARCH_SHARE * share, f"{best.open_chips} open"),
+    )
+    code = replace(found.code, chip_ns=problem.chip_ns)
+    on_found(code, found)
+    progress(_SEARCH_SHARE, "comparing with other codes")
+    comparison = compare(problem, code, baselines=found.baselines)
+    path = None if problem.on_circle else _as_designed(motion, problem.direction)
+    certificate = certify(code, path)
+    bounded = _bounded(problem, comparison[0].metrics, straight=path is None, effort=effort)
+    progress(1.0, "")
+    return Optimum(problem, how, found, comparison, path, certificate, *bounded)
+
+
+def searched_problem(problem: SearchProblem) -> SearchProblem:
+    """Return what is searched for a problem: the unit circle where only the code's polynomial matters."""
+    return replace(problem, scenarios=()) if problem.on_circle and problem.objective == "min-mtf" else problem
+
+
+def stored_search(described: Mapping[str, Any], found: Found) -> dict[str, Any]:
+    """Return what a code file says of its problem, and of the search that ended so."""
+    return {**described, "steps": found.steps, "stopped": found.stopped, "proof": found.proof}
+
+
+def ended_early(how: Search, stopped: str, moves: int | None) -> list[str]:
+    """Warn of a search that Ctrl-C or the time ended before its ``moves``."""
+    if stopped == "interrupted":
+        what = "proof" if how.method == "exact" else "search"
+        return [f"the {what} was stopped early, this is the best code so far"]
+    if stopped == "time" and moves is not None:
+        limit = f"the limit of {how.limit_s:g} s"
+        return [f"{limit} ended the search before its {moves:,} moves: another run may give another code"]
+    return []
+
+
+def certificate_warnings(problem: SearchProblem) -> list[str]:
+    """Warn where a certificate does not cover all that the search counted."""
+    if problem.response is None and len(problem.scenarios) == 1 and problem.scenarios[0].edges is None:
+        return []
+    return ["the certificate is for a shutter that opens at once and on time, along the motion as it was given"]
 
 
 def search(
@@ -147,8 +342,6 @@ def search(
     ValueError
         If the problem is not one that the method solves.
     """
-    from cep.search.recipe import search_code
-
     if how.method == "exact":
         return _proven(problem, how, length_px=length_px, threads=threads, progress=progress)
     return search_code(
@@ -173,7 +366,6 @@ def _proven(
 ) -> Found:
     """Count all codes; where Ctrl-C stops that, a baseline may be the best yet."""
     from cep.search.exhaustive.exact import codes_to_count, exact
-    from cep.search.recipe import Found, baselines_so_far, best_of, judge_of
 
     proven = exact(problem, threads=threads, progress=progress)
     judge = judge_of(problem)
@@ -188,83 +380,13 @@ def _proven(
     )  # fmt: skip
 
 
-def appraise(
-    problem: SearchProblem,
-    code: ShutterCode,
-    *,
-    along: Trajectory | None,
-    baselines: Iterable[Baseline],
-    effort: Literal["quick", "sdp"] = "quick",
-) -> Appraisal:
-    """Compare a code with what would be used instead, certify its minimum, and hold it against a bound.
+def optimize_motion(*, problem: SearchProblem, along: Trajectory, how: Search) -> dict[str, str]:
+    """Search a code with :func:`optimize` on one thread: the work of a cell, see :mod:`cep.jobs.engine`.
 
     Parameters
     ----------
     problem : SearchProblem
-        To measure on.
-    code : ShutterCode
-    along : Trajectory or None
-        What the certificate is for; None: the unit circle, where only the code's polynomial matters.
-    baselines : iterable of Baseline
-        What it is compared with: as its search returned them, or :func:`cep.search.recipe.baselines`.
-    effort : {"quick", "sdp"}
-    """
-    from cep.proofs.certify.certificate import certify
-    from cep.workflows.compare import compare
-
-    ours, *others = compare(problem, code, baselines=baselines)
-    certificate = certify(code, along).to_dict()
-    return Appraisal(
-        ours, tuple(others), certificate, *_bounded(problem, ours.metrics, straight=along is None, effort=effort)
-    )
-
-
-def report(found: Found, appraisal: Appraisal) -> dict[str, Any]:
-    """Put together what ``cep optimize --json`` says of a code."""
-    code = appraisal.ours.code
-    return {
-        "bits": code.bits,
-        "chips": code.chips,
-        "open": code.open_chips,
-        "duty": code.duty,
-        "chip_ns": code.chip_ns,
-        **appraisal.ours.metrics.to_dict(),
-        "objective": found.objective,
-        "proven": found.stopped == "proven",
-        "certificate": appraisal.certificate,
-        "bound": appraisal.bound,
-        "gap": appraisal.gap,
-        "seconds": found.seconds,
-        "steps": found.steps,
-        "stopped": found.stopped,
-        "interrupted": found.stopped == "interrupted",
-        "baselines": {
-            row.name: {
-                "bits": row.code.bits,
-                "open": row.code.open_chips,
-                "within_limits": row.within_limits,
-                "stopped_early": row.stopped_early,
-            }
-            | row.metrics.to_dict()
-            for row in appraisal.others
-        },
-    }
-
-
-def optimize_motion(
-    *, problem: SearchProblem, searched: SearchProblem, along: Trajectory | None, chip_ns: int, how: Search
-) -> dict[str, str]:
-    """Search and appraise a code on one thread: the work of a cell, see :mod:`cep.jobs.engine`.
-
-    Parameters
-    ----------
-    problem : SearchProblem
-        To measure on.
-    searched : SearchProblem
-        To search: the unit circle where only the code's polynomial matters.
-    along : Trajectory or None
-        As of :func:`appraise`.
-    chip_ns : int
+    along : Trajectory
     how : Search
 
     Returns
@@ -277,23 +399,18 @@ def optimize_motion(
     KeyboardInterrupt
         If Ctrl-C ended the search: half a search must not count as a finished one.
     """
-    from cep.search.recipe import mean_length_px
 
-    found = search(searched, how, length_px=mean_length_px(problem), threads=1)
-    if found.stopped == "interrupted":
-        raise KeyboardInterrupt
-    code = replace(found.code, chip_ns=chip_ns)
-    appraisal = appraise(problem, code, along=along, baselines=found.baselines, effort=how.effort)
-    parts = {
-        "report": report(found, appraisal),
-        "metrics": appraisal.ours.metrics.to_dict(),
-        "proof": found.proof,
-    }
+    def whole(_code: ShutterCode, found: Found) -> None:
+        if found.stopped == "interrupted":
+            raise KeyboardInterrupt
+
+    best = optimize(problem, **asdict(how), along=along, threads=1, on_found=whole)
+    parts = {"report": {**best.to_dict(), "warnings": best.warnings}, "file": best.stored({})}
     return {name: json.dumps(plain(part), allow_nan=False) for name, part in parts.items()}
 
 
 def code_from_figures(figures: Mapping[str, Figure], described: Mapping[str, Any]) -> tuple[dict[str, Any], StoredCode]:
-    """Return the report of a code, and what its file holds, from what :func:`optimize_motion` returned.
+    """Return the report of a code with its warnings, and what its file holds, from :func:`optimize_motion`'s texts.
 
     Parameters
     ----------
@@ -301,9 +418,30 @@ def code_from_figures(figures: Mapping[str, Figure], described: Mapping[str, Any
     described : mapping
         What the file says of the problem; the search's steps and proof are added.
     """
-    told, metrics, proof = (json.loads(str(figures[part])) for part in ("report", "metrics", "proof"))
-    problem = {**described, "steps": told["steps"], "stopped": told["stopped"], "proof": proof}
-    return told, StoredCode(ShutterCode(told["bits"], told["chip_ns"]), metrics, problem, told["certificate"])
+    report, file = (json.loads(str(figures[part])) for part in ("report", "file"))
+    code = ShutterCode(report["bits"], report["chip_ns"])
+    return report, StoredCode(code, file["metrics"], {**described, **file["problem"]}, file["certificate"])
+
+
+def _as_designed(motion: Trajectory, direction: str) -> Trajectory:
+    """Return the motion with the direction that the search counted."""
+    return (
+        motion if direction == "auto" else replace(motion, direction="known" if direction == "forward" else "unknown")
+    )
+
+
+def _summary(problem: SearchProblem, how: Search) -> dict[str, Any]:
+    return {
+        "chips": problem.chips,
+        **asdict(problem.runs),
+        "open_range": problem.open_limits,
+        "objective": problem.objective,
+        "direction": problem.direction,
+        "rule": problem.rule,
+        "camera": problem.camera.to_dict(),
+        "method": how.method,
+        "seed": how.seed,
+    }
 
 
 def _rounded(problem: SearchProblem, seed: int) -> list[ShutterCode]:

@@ -22,12 +22,10 @@ __all__ = [
     "SearchOptions",
     "Task",
     "ending",
-    "on_the_circle",
     "open_limits",
     "problem_of",
     "search_of",
     "task_of",
-    "warnings_of",
 ]
 
 
@@ -72,44 +70,28 @@ def problem_of(
         If an option is malformed or they conflict; the line says which.
     """
     from cep.optics.band import uniform_length_px
-    from cep.search.playable import limits_of_device, response_of_device
+    from cep.search.playable import Playable, within_device
     from cep.search.problem import SearchProblem
-    from hw.device import DeviceProfile
 
     if wish.direction not in DIRECTIONS:
         raise ValueError(f"--direction: must be one of {', '.join(DIRECTIONS)}, got {wish.direction!r}")
-    low, high = open_limits(wish.chips, wish.open_chips, wish.duty)
-    shutter = profile or DeviceProfile(name="any")
-    playable, most = limits_of_device(shutter, chips=wish.chips, chip_ns=wish.chip_ns)
-    if most < low:
-        raise ValueError(
-            f"{shutter.name}: at most {most} of {wish.chips} chips may be open, at least {low} were asked for"
-        )
+    open_range = open_limits(wish.chips, wish.open_chips, wish.duty)
+    played = Playable(replace(wish.runs, fixed=_mask(wish)), open_range, None)
+    if profile is not None:
+        played = within_device(profile, chips=wish.chips, chip_ns=wish.chip_ns, open_range=open_range, runs=played.runs)
     straight = uniform_length_px(stored.trajectory) is not None
     return SearchProblem(
         chips=wish.chips,
         scenarios=_scenarios(wish, stored, rng),
-        open_range=(low, min(high, most)),
+        open_range=played.open_range,
         objective=_objective(wish.objective) if wish.objective else ("min-mtf" if straight else "mse"),
         direction=wish.direction,  # type: ignore[arg-type]
         rule=wish.rule,  # type: ignore[arg-type]
-        runs=replace(wish.runs, fixed=_mask(wish)).tightened(playable),
+        runs=played.runs,
         camera=camera,
-        response=None if profile is None else response_of_device(profile, wish.chip_ns),
+        response=played.response,
+        chip_ns=wish.chip_ns,
     )
-
-
-def on_the_circle(problem: SearchProblem) -> bool:
-    """Whether only the code's polynomial matters: one straight uniform motion, chips on time, a shutter without ramps.
-
-    Its zeros from the chip itself are no fault of the code.
-    """
-    from cep.optics.band import uniform_length_px
-
-    if len(problem.scenarios) != 1 or problem.response is not None:
-        return False
-    scenario = problem.scenarios[0]
-    return scenario.edges is None and uniform_length_px(scenario.trajectory) is not None
 
 
 def open_limits(chips: int, open_chips: str | None, duty: str | None) -> tuple[int, int]:
@@ -201,18 +183,14 @@ class Task:
     Attributes
     ----------
     problem : SearchProblem
-        To measure on.
-    searched : SearchProblem
-        To search: the unit circle where only the code's polynomial matters.
-    along : Trajectory or None
-        What the certificate is for, None on the unit circle.
+    along : Trajectory
+        What the certificate is for: the motion as it was given.
     described : mapping
         What the code file says of the problem.
     """
 
     problem: SearchProblem
-    searched: SearchProblem
-    along: Trajectory | None
+    along: Trajectory
     described: Mapping[str, Any]
 
 
@@ -260,7 +238,6 @@ def task_of(
         check_frame(path)
     check_resolved(motion, wish.chips)
     problem = problem_of(wish, stored, camera=camera, profile=profile, rng=np.random.default_rng([how.seed, 2]))
-    straight = on_the_circle(problem)
     described = {
         **{
             name: value for name, value in asdict(wish).items() if name not in ("open_chips", "duty", "chip_ns", "runs")
@@ -273,8 +250,7 @@ def task_of(
         "method": how.method,
         "seed": how.seed,
     }
-    searched = replace(problem, scenarios=()) if straight and problem.objective == "min-mtf" else problem
-    return Task(problem, searched, None if straight else _as_designed(motion, wish.direction), described)
+    return Task(problem, motion, described)
 
 
 def ending(stopped: str, steps: int) -> str:
@@ -286,31 +262,3 @@ def ending(stopped: str, steps: int) -> str:
         "complete": "no other code keeps the limits",
         "proven": f"all {steps:.2g} codes counted",
     }[stopped]
-
-
-def warnings_of(task: Task, how: Search, *, stopped: str, baselines: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Say what the user should know of the result, and of its baselines as reported, besides their figures."""
-    problem, told = task.problem, []
-    if stopped == "interrupted":
-        what = "the proof was stopped early" if how.method == "exact" else "the search was stopped early"
-        told.append(f"{what}, this is the best code so far")
-    moves = how.moves(task.searched)
-    if stopped == "time" and moves is not None:
-        limit = "--time" if how.time_s is not None else f"the limit of {how.limit_s:g} s"
-        told.append(f"{limit} ended the search before its {moves:,} moves: another run may give another code")
-    if stopped == "interrupted" or how.method == "exact" or moves is not None:  # with a time alone every run differs
-        told += [
-            f"the search of the {name} was stopped early, by --time or Ctrl-C: another run may give another"
-            for name, figures in baselines.items()
-            if figures["stopped_early"]
-        ]
-    if problem.response is not None or len(problem.scenarios) > 1 or problem.scenarios[0].edges is not None:
-        told.append("the certificate is for a shutter that opens at once and on time, along the motion as it was given")
-    return told
-
-
-def _as_designed(motion: Trajectory, direction: str) -> Trajectory:
-    """Return the motion with the direction that the search counted."""
-    return (
-        motion if direction == "auto" else replace(motion, direction="known" if direction == "forward" else "unknown")
-    )

@@ -152,13 +152,13 @@ def test_stopped_it_writes_what_is_finished_and_goes_on(cep, motions, monkeypatc
 def test_each_code_is_written_before_the_next_search(cep, motions, monkeypatch):
     from cep.workflows import optimize
 
-    real, seen = optimize.appraise, []
+    real, seen = optimize.compare, []
 
-    def appraise(*arguments, **options):
+    def compare(*arguments, **options):
         seen.append(sorted(path.parent.name for path in Path("motions").glob("*/code.json")))
         return real(*arguments, **options)
 
-    monkeypatch.setattr(optimize, "appraise", appraise)
+    monkeypatch.setattr(optimize, "compare", compare)
     assert list(cep.succeeds(*EACH)["codes"]) == list(MOTIONS)
     assert seen == [[], ["a"], ["a", "b[1]"]]
 
@@ -168,7 +168,7 @@ def test_a_search_that_the_time_ended_is_told(cep, motions):
         "optimize", "--each", "motions", "--chips", "12", "--steps", "1000000000", "--time", "0.01", "--workers", "1"
     )
     assert len(found["codes"]) == 3
-    told = "--time ended the search before its 1,000,000,000 moves: another run may give another code"
+    told = "the limit of 0.01 s ended the search before its 1,000,000,000 moves: another run may give another code"
     assert all(told in one["warnings"] and one["stopped"] == "time" for one in found["codes"].values())
     assert f"a: {told}" in found["warnings"]
     assert {row["stopped"] for row in rows_of("motions/codes.csv")} == {"time"}
