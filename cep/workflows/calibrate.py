@@ -43,7 +43,8 @@ CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.pn
 """What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field."""
 
 _LEAST_CONTRAST = 2 / 255
-_LOADING = (0.12, 0.3, 0.38)  # of an estimate's share: torch is on its way, is there, and so is the estimator
+_LOADING = {"motdiff": (0.12, 0.28, 0.36), "pmp": (0.12, 0.26, 0.32)}
+"""Of an estimate's share: torch is on its way, is there, and so is the estimator; docs/decisions/code.md."""
 _NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}}
 _ALLOWED = {"motdiff": {"samples"}, "gyro": {"rate_unit"}}
 
@@ -138,13 +139,14 @@ def make_estimator(
         from motdiff.estimators.point import PointEstimator
 
         return PointEstimator()
+    torch_begun, torch_there, loaded = _LOADING[method]
 
     def tell(share: float) -> None:
-        progress((1 - share) * _LOADING[-1] + share, "searching the motion")
+        progress((1 - share) * loaded + share, "searching the motion")
 
-    progress(_LOADING[0], "loading torch")
+    progress(torch_begun, "loading torch")
     import_module("torch")  # half of what there is to load
-    progress(_LOADING[1], "loading the network" if method == "motdiff" else "loading the search")
+    progress(torch_there, "loading the network" if method == "motdiff" else "loading the search")
     made: Estimator
     if method == "pmp":
         from motdiff.estimators.pmp import PmpEstimator
