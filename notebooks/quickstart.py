@@ -32,7 +32,7 @@ import cep
 
 rng = np.random.default_rng(2)
 scene = data.astronaut()[60:380, 60:380] / 255
-camera = cep.Camera(photons_full_scale=20_000, read_noise_e=20)
+camera = cep.Camera(photons_full_scale=20_000, read_noise_e=50)
 truth = cep.Trajectory.from_samples([[0, 0], [8, 2], [12, 9], [13, 16]])
 blurred = cep.capture(scene, truth, camera=camera, rng=rng)
 
