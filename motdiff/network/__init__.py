@@ -5,7 +5,7 @@ Two baselines draw from the same condition: a denoiser of PSFs, and one quadrati
 
 from motdiff.network.config import NetworkConfig
 from motdiff.network.model import MotDiffNetwork
-from motdiff.network.path import PathNetwork
+from motdiff.network.parametric import PathNetwork
 
 __all__ = ["MotDiffNetwork", "NetworkConfig", "PathNetwork", "build_network"]
 

@@ -15,7 +15,7 @@ from motdiff.evaluation.floors import delta
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi
 from motdiff.network import NetworkConfig, PathNetwork, build_network
-from motdiff.network.path import PathHead
+from motdiff.network.parametric import PathHead
 from motdiff.simulate import blur_valid
 from motdiff.tracing.quadratic import QuadraticPath, most_alike_quadratic, nearest_quadratic
 from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
