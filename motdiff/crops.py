@@ -13,6 +13,7 @@ from motdiff.metrics import mnc_subpixel
 __all__ = [
     "CLIPPED_LEVEL",
     "CROP_PX",
+    "LEAST_PX",
     "best_crops",
     "blur_differs_warning",
     "check_size",
@@ -27,6 +28,8 @@ FloatArray = NDArray[np.float64]
 
 CROP_PX = 256
 """Side of the crops in which motion is searched, px."""
+LEAST_PX = 48
+"""Least side of a photo in which motion can be searched, px; a method may need more."""
 CLIPPED_LEVEL = 0.98  # JPEG and demosaicing leave a clipped area a little below full scale
 _CLIPPED_SHARE = 0.02  # a crop with this share of clipped pixels is used only when there is nothing else
 _OVERLAP_SHARE = 0.25

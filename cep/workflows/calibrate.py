@@ -15,8 +15,8 @@ from cep.io.files import write_psf
 from cep.io.images import write_image
 from cep.io.outputs import new_folder
 from cep.plots import png_bytes, save, trajectory_figure
-from motdiff.crops import check_size
-from motdiff.estimators.base import SMALLEST_PX, Estimator, MotionEstimate, load_estimator
+from motdiff.crops import LEAST_PX, check_size
+from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
 from motdiff.gyro import GyroTrace
 from motdiff.io.plugins import is_reference
 from motdiff.io.trajectories import StoredMotion, write_motion
@@ -42,6 +42,7 @@ METHODS = ("motdiff", "pmp", "reference", "point", "gyro")
 CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png")
 """What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field."""
 
+_LEAST_PX = {"motdiff": PSF_PX, "pmp": LEAST_PX}  # their smallest_px, known before anything slow is loaded
 _LEAST_CONTRAST = 2 / 255
 _LOADING = {"motdiff": (0.12, 0.28, 0.36), "pmp": (0.12, 0.26, 0.32)}
 """Of an estimate's share: torch is on its way, is there, and so is the estimator; docs/decisions/code.md."""
@@ -260,7 +261,7 @@ def check_photo(photo: ArrayLike, method: str) -> None:
     ValueError
         If a side is too short, or the photo is constant, black or white.
     """
-    check_size(photo, least_px=SMALLEST_PX.get(method, 1))
+    check_size(photo, least_px=_LEAST_PX.get(method, 1))
     check_texture(photo)
 
 

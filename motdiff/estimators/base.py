@@ -9,13 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motdiff.io.plugins import load_object
-from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
-__all__ = ["SMALLEST_PX", "Estimator", "MotionEstimate", "load_estimator"]
-
-SMALLEST_PX = {"motdiff": PSF_PX, "pmp": 48}  # of the lag maps
-"""Least side of a photo that a blind method can search, px: known before the method is loaded."""
+__all__ = ["Estimator", "MotionEstimate", "load_estimator"]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motdiff.crops import best_crops, textured_luminance
-from motdiff.estimators.base import SMALLEST_PX
+from motdiff.psf_frame import PSF_PX
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -37,7 +37,7 @@ def conditioning_maps(photo: ArrayLike) -> Tensor:
     from motdiff.estimators.motdiff.drawing import quick_search
     from motdiff.network.physics_maps import physics_maps
 
-    grey = textured_luminance(photo, least_px=SMALLEST_PX["motdiff"])
+    grey = textured_luminance(photo, least_px=PSF_PX)  # of the lag maps
     crops = best_crops(grey, count=_MOST_CROPS)
     classical = quick_search(crops, sigma=noise_sigma(crops[0]))
     light, kernels = (torch.from_numpy(array.astype(np.float32))[None] for array in (crops, classical))

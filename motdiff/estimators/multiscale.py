@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -14,17 +15,18 @@ from motdiff.crops import CROP_PX, best_crops, textured_luminance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.kernel_score import uneven_blur_warning
 from motdiff.metrics import mnc_subpixel
+from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.threads import one_thread_a_call
 from motdiff.tracing import is_tangled, simplest_trajectory
 
-__all__ = ["Found", "KernelSearch", "estimate_blind", "without_faint_parts"]
+__all__ = ["BlindEstimator", "Found", "without_faint_parts"]
 
 FloatArray = NDArray[np.float64]
 
 _LEAST_HALVED_PX = 192
 _LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halved and tried again
-_LEVELS = 3
+_FACTORS = (1, 2, 4)  # by which the photo is made smaller, one after the other
 _FAINT = 0.05  # share of the peak: noise of a fitted kernel, docs/decisions/tracing.md
 _SPECK_SHARE = 0.1
 _SAME_MOTION_MNC = 0.8  # less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
@@ -65,65 +67,80 @@ class Found:
         return float(self.probabilities[self.best])
 
 
-class KernelSearch(Protocol):
-    """A blind method, at one scale."""
-
-    largest_px: int
-    """Side of the largest frame that it searches, px."""
-    smallest_px: int
-    """Least side of a photo that it can search, px."""
-
-    def search(self, crops: FloatArray) -> Found:
-        """Search the kernel that the crops (C, H, W), grey, linear light, share."""
-        ...
-
-    def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:
-        """Search each crop alone, in the cheapest way, to test whether the blur is uniform."""
-        ...
-
-
-@one_thread_a_call()
-def estimate_blind(photo: ArrayLike, search: KernelSearch, *, method: str, most_crops: int) -> MotionEstimate:
-    """Estimate the motion from a blurred ``photo``.
+class BlindEstimator(ABC):
+    """Estimator from the blurred photo alone: its subclasses search the kernel of crops, at one scale.
 
     Where the blur outgrows the search, or is lost in a large photo, the photo is halved and tried again.
 
     Parameters
     ----------
-    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
-    search : KernelSearch
-    method : str
-        Its name.
-    most_crops : int
+    crops : int
         Most crops used of a photo larger than one crop.
-
-    Returns
-    -------
-    MotionEstimate with ``direction`` unknown; distinct kernels follow as alternatives.
-
-    Raises
-    ------
-    ValueError
-        If the photo is smaller than ``search.smallest_px``, not finite, or without texture.
+    progress : callable, optional
+        Called with the finished share 0..1.
 
     References
     ----------
     Hu and Yang, "Good regions to deblur", ECCV 2012 (crops).
     """
-    grey = textured_luminance(photo, least_px=search.smallest_px)
-    level = _level(grey, 1, search, most_crops)
-    while level.factor < 2 ** (_LEVELS - 1) and _wants_halving(level, search.largest_px, min(grey.shape)):
-        factor = level.factor * 2
-        smaller = cv2.resize(grey, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
-        coarser = _level(np.asarray(smaller, dtype=np.float64), factor, search, most_crops)
-        if coarser.found.confidence < max(_LOST, level.found.confidence + _CLEARLY):
-            break
-        level = coarser
-    uneven = None
-    if len(level.crops) > 1:
-        found = level.found
-        uneven = uneven_blur_warning(level.crops, search.single(level.crops, found), found.kernels[found.best])
-    return _described(level, method, uneven)
+
+    method: str
+    """Its name."""
+    largest_px: int
+    """Side of the largest frame that it searches, px."""
+    smallest_px: int
+    """Least side of a photo that it can search, px."""
+
+    def __init__(self, *, crops: int = 3, progress: Callable[[float], None] | None = None) -> None:
+        if crops < 1:
+            raise ValueError(f"crops: must be at least 1, got {crops}")
+        self._crops = crops
+        self._tell, self._progress = progress, Progress(progress)
+
+    @abstractmethod
+    def search(self, crops: FloatArray) -> Found:
+        """Search the kernel that the crops (C, H, W), grey, linear light, share."""
+
+    @abstractmethod
+    def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:
+        """Search each crop alone, in the cheapest way, to test whether the blur is uniform."""
+
+    def estimate(self, photo: ArrayLike) -> MotionEstimate:
+        """Estimate the motion from a blurred ``photo``.
+
+        Parameters
+        ----------
+        photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+
+        Returns
+        -------
+        MotionEstimate with ``direction`` unknown; distinct kernels follow as alternatives.
+
+        Raises
+        ------
+        ValueError
+            If the photo is smaller than ``smallest_px``, not finite, or without texture.
+        """
+        with one_thread_a_call():
+            self._progress = Progress(self._tell)
+            grey = textured_luminance(photo, least_px=self.smallest_px)
+            levels: list[_Level] = []
+            for factor in _FACTORS:
+                crops = _textured_crops(grey, factor, self._crops)
+                level = _Level(factor, crops, self.search(crops))
+                if levels and level.found.confidence < max(_LOST, levels[-1].found.confidence + _CLEARLY):
+                    break
+                levels.append(level)
+                if not _wants_halving(level, self.largest_px, min(grey.shape)):
+                    break
+            best = levels[-1]
+            uneven = None
+            if len(best.crops) > 1:
+                alone = self.single(best.crops, best.found)
+                uneven = uneven_blur_warning(best.crops, alone, best.found.kernels[best.found.best])
+            estimate = _described(best, self.method, uneven)
+            self._progress.finish()
+            return estimate
 
 
 @dataclass(frozen=True)
@@ -135,12 +152,16 @@ class _Level:
     found: Found
 
 
-def _level(grey: FloatArray, factor: int, search: KernelSearch, most_crops: int) -> _Level:
-    crops = best_crops(grey, count=most_crops)
-    crops = crops[np.ptp(crops, axis=(1, 2)) > 0]  # a clipped sky has no texture and no noise
-    if not len(crops):
+def _textured_crops(grey: FloatArray, factor: int, count: int) -> FloatArray:
+    """Crops (C, h, w), at most ``count``, of a photo (H, W) made smaller by the factor."""
+    if factor > 1:
+        smaller = cv2.resize(grey, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+        grey = np.asarray(smaller, dtype=np.float64)
+    crops = best_crops(grey, count=count)
+    textured: FloatArray = crops[np.ptp(crops, axis=(1, 2)) > 0]  # a clipped sky has no texture and no noise
+    if not len(textured):
         raise ValueError("photo: has edges of one direction at most; motion shows only where the scene has texture")
-    return _Level(factor, crops, search.search(crops))
+    return textured
 
 
 def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:

@@ -8,17 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from motdiff.estimators.base import SMALLEST_PX, MotionEstimate
 from motdiff.estimators.kernel_score import Judge, candidate_probabilities, noise_sigma
 from motdiff.estimators.motdiff.drawing import draw_psfs
-from motdiff.estimators.multiscale import Found, estimate_blind
+from motdiff.estimators.multiscale import BlindEstimator, Found
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, planned, refined
 from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
-from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.threads import side_by_side
 from motdiff.weights import load_network
@@ -37,7 +35,7 @@ _DOUBT = 0.02  # share of the peak: off the path a network's output is never qui
 _TOLD_OF_ALL, _TOLD_OF_TWO = (2, 0, 1), (1, 0, 1)
 
 
-class MotDiffEstimator:
+class MotDiffEstimator(BlindEstimator):
     """Blind estimator with the conditional diffusion model MoTDiff.
 
     Classical searches give kernels. The network, conditioned on up to three of them, samples several motions. All are
@@ -68,8 +66,9 @@ class MotDiffEstimator:
     models", arXiv 2510.26173. Physics maps, judgement and refinement are ours.
     """
 
+    method = "motdiff"
     largest_px = _ODD_PX
-    smallest_px = SMALLEST_PX["motdiff"]
+    smallest_px = PSF_PX  # of the lag maps
 
     def __init__(
         self,
@@ -82,20 +81,13 @@ class MotDiffEstimator:
         crops: int = 3,
         progress: Callable[[float], None] | None = None,
     ) -> None:
-        for name, value in (("samples", samples), ("steps", steps), ("crops", crops)):
+        super().__init__(crops=crops, progress=progress)
+        for name, value in (("samples", samples), ("steps", steps)):
             if value < 1:
                 raise ValueError(f"{name}: must be at least 1, got {value}")
         self._network = load_network() if weights is None else load_network(weights)
         self._samples, self._steps, self._refine = samples, steps, refine
-        self._seed, self._crops = seed, crops
-        self._tell, self._progress = progress, Progress(progress)
-
-    def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Estimate the motion from a blurred ``photo``, see :func:`motdiff.estimators.multiscale.estimate_blind`."""
-        self._progress = Progress(self._tell)
-        estimate = estimate_blind(photo, self, method="motdiff", most_crops=self._crops)
-        self._progress.finish()
-        return estimate
+        self._seed = seed
 
     def search(self, crops: FloatArray) -> Found:
         """Sample, score and refine kernels of the crops (C, H, W)."""
@@ -137,7 +129,7 @@ class MotDiffEstimator:
         }
         return Found(tuple(kernels), believed, best, details)
 
-    def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:  # noqa: ARG002, the protocol's
+    def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:  # noqa: ARG002, the base class's
         """Run one quick search on each crop alone."""
         cost = _SINGLE_COST / len(crops)
         return side_by_side(

@@ -8,11 +8,11 @@ from functools import partial
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from motdiff.estimators.base import SMALLEST_PX, MotionEstimate
+from motdiff.crops import LEAST_PX
 from motdiff.estimators.kernel_score import noise_sigma, rank_kernels
-from motdiff.estimators.multiscale import Found, estimate_blind
+from motdiff.estimators.multiscale import BlindEstimator, Found
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
 from motdiff.metrics import mnc_subpixel
 from motdiff.progress import Progress
@@ -59,7 +59,7 @@ _DISAGREE = 0.4  # share of photos with more starts than two
 _RANK_COST, _REFINE_COST, _SINGLE_COST, _TRACE_COST = 0.05, 0.15, 1.4, 0.25
 
 
-class PmpEstimator:
+class PmpEstimator(BlindEstimator):
     """Blind estimator with the patch-wise minimal pixels prior.
 
     The starts run on the same crops, which share one kernel: the first two, and the others only where these found
@@ -81,7 +81,8 @@ class PmpEstimator:
     Wen et al., IEEE TCSVT 2021 (the prior).
     """
 
-    smallest_px = SMALLEST_PX["pmp"]
+    method = "pmp"
+    smallest_px = LEAST_PX
 
     def __init__(
         self,
@@ -91,20 +92,11 @@ class PmpEstimator:
         device: str = "cpu",
         progress: Callable[[float], None] | None = None,
     ) -> None:
+        super().__init__(crops=crops, progress=progress)
         if not starts:
             raise ValueError("starts: need at least one")
-        if crops < 1:
-            raise ValueError(f"crops: must be at least 1, got {crops}")
-        self._starts, self._crops, self._device = starts, crops, device
-        self._tell, self._progress = progress, Progress(progress)
+        self._starts, self._device = starts, device
         self.largest_px = max(start.size for start in starts)
-
-    def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Estimate the motion from a blurred ``photo``, see :func:`motdiff.estimators.multiscale.estimate_blind`."""
-        self._progress = Progress(self._tell)
-        estimate = estimate_blind(photo, self, method="pmp", most_crops=self._crops)
-        self._progress.finish()
-        return estimate
 
     def search(self, crops: FloatArray) -> Found:
         """Run the starts on the crops (C, H, W) and refine the best once more."""

@@ -5,7 +5,7 @@ import pytest
 import torch
 from threadpoolctl import threadpool_info
 
-from motdiff.estimators.multiscale import Found, estimate_blind, without_faint_parts
+from motdiff.estimators.multiscale import BlindEstimator, Found, without_faint_parts
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
 from motdiff.tracing import is_tangled
@@ -19,16 +19,18 @@ def line(length_px=9, *, side=KERNEL_PX, angle_rad=0.0):
     return Trajectory.straight(length_px, angle_rad=angle_rad).psf(side)
 
 
-class FakeSearch:
+class FakeSearch(BlindEstimator):
     """Finds a given kernel with a given confidence, the next pair at each scale; notes what it is asked.
 
     The last pair goes on. ``singles`` are the kernels of single crops.
     """
 
+    method = "fake"
     largest_px = KERNEL_PX
     smallest_px = 48
 
-    def __init__(self, *answers, singles=None, warnings=(), others=()):
+    def __init__(self, *answers, singles=None, warnings=(), others=(), **options):
+        super().__init__(**options)
         self.answers = list(answers or [(line(), 0.9)])
         self.singles, self.warnings, self.others = singles, warnings, list(others)
         self.seen, self.alone = [], []
@@ -49,9 +51,9 @@ def noise(*shape, seed=0):
     return np.random.default_rng(seed).random(shape)
 
 
-def found_in(photo, search=None, *, most_crops=3):
+def found_in(photo, search=None):
     search = search or FakeSearch()
-    return estimate_blind(photo, search, method="fake", most_crops=most_crops), search
+    return search.estimate(photo), search
 
 
 # ---- threads
@@ -83,6 +85,25 @@ def test_the_search_has_one_thread_a_call_and_the_process_its_own_afterwards(mon
         torch.set_num_threads(before)
 
 
+# ---- progress
+
+
+def test_each_photo_is_told_of_from_the_start_to_the_end():
+    class Telling(FakeSearch):
+        def search(self, crops):
+            self._progress.expect(2.0)
+            self._progress.spend(1.0)
+            return super().search(crops)
+
+    shares = []
+    search = Telling((LONG, UNSURE), (line(), SURE), progress=shares.append)
+    search.estimate(noise(300, 300))
+    assert shares == [0.5, 0.75, 1.0]  # at half size as well: the half of what is left
+    shares.clear()
+    search.estimate(noise(100, 100))
+    assert shares == [0.5, 1.0]
+
+
 # ---- crops
 
 
@@ -109,7 +130,7 @@ def test_small_photos_are_searched_whole(shape):
 )
 def test_large_photos_are_searched_in_square_crops(shape, most, expected):
     photo = noise(*shape)
-    estimate, search = found_in(photo, most_crops=most)
+    estimate, search = found_in(photo, FakeSearch(crops=most))
     (crops,) = search.seen
     assert crops.shape == expected
     assert estimate.details["crops"] == expected[0]
@@ -425,9 +446,9 @@ def test_what_it_returns_keeps_the_conventions():
     ],
 )
 def test_unusable_photos_are_refused_in_one_line(photo, message):
-    search = FakeSearch()
+    search = FakeSearch(crops=1)
     with pytest.raises(ValueError) as caught:  # noqa: PT011, the whole message is compared
-        found_in(photo, search, most_crops=1)
+        found_in(photo, search)
     assert str(caught.value) == message
     assert search.seen == []
 
