@@ -1,16 +1,16 @@
-"""Time spent along a known path: non-negative least squares against a PSF or against a blurred photo."""
+"""Time spent along a known path: non-negative least squares against a PSF."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft, linalg, optimize
+from scipy import linalg, optimize
 
 from motdiff.metrics import register_shift
-from motdiff.psf_frame import PSF_PX, in_frame
+from motdiff.psf_frame import in_frame
 from motdiff.trajectory import Trajectory, slice_psfs
 
-__all__ = ["checked_psf", "fit_dwell", "fit_dwell_to_photo"]
+__all__ = ["checked_psf", "fit_dwell"]
 
 FloatArray = NDArray[np.float64]
 
@@ -48,63 +48,15 @@ def fit_dwell(path_px: ArrayLike, psf: ArrayLike, *, smoothness: float = 0.01, e
     """
     light = checked_psf(psf)
     target = in_frame(light / light.sum(), 2 * (max(light.shape) // 2) + 1)
-    impulse = np.zeros((3, 3))
-    impulse[1, 1] = 1.0
-    return _fit(_nodes(path_px, extend_px), impulse, target, smoothness)
+    return _fit(_nodes(path_px, extend_px), target, smoothness)
 
 
-def fit_dwell_to_photo(
-    path_px: ArrayLike,
-    photo: ArrayLike,
-    sharp: ArrayLike,
-    *,
-    size: int = PSF_PX,
-    smoothness: float = 0.01,
-    extend_px: float = 1.0,
-) -> Trajectory:
-    """Fit the time spent along a path so that ``sharp``, blurred by it, has the gradients of ``photo``.
-
-    Minimises ``|| W (grad photo - grad sharp * psf(w)) ||^2`` over dwells w >= 0, with a window W that keeps the
-    photo's borders out. The normal equations need only correlations of the two pictures, so the cost hardly
-    depends on the size of the photo.
-
-    Parameters
-    ----------
-    path_px : (N, 2) array_like, px
-        Ordered points, in the frame of the PSF that relates the two pictures.
-    photo, sharp : (H, W) or (H, W, 3) array_like, 0..1
-        The blurred photo and an estimate of the sharp scene, pixel on pixel.
-    size : int, px
-        Largest displacement considered is ``size // 2``.
-    smoothness, extend_px : float
-        As :func:`fit_dwell`.
-
-    Raises
-    ------
-    ValueError
-        If the pictures differ in shape, are not finite, are smaller than twice ``size``, or have no gradients.
-    """
-    blurred, latent = (_checked_photo(name, image) for name, image in (("photo", photo), ("sharp", sharp)))
-    if blurred.shape != latent.shape:
-        raise ValueError(f"sharp: shape {latent.shape} differs from photo's {blurred.shape}")
-    if min(blurred.shape[1:]) < 2 * size:
-        raise ValueError(f"photo: must be at least {2 * size} px wide and high for size = {size}")
-    reach = size // 2
-    auto, cross = _gradient_correlations(blurred, latent, reach)
-    if auto.max() <= 0:
-        raise ValueError("sharp: has no gradients (constant image); dwell cannot be fitted")
-    return _fit(_nodes(path_px, extend_px), auto, cross, smoothness)
-
-
-def _fit(nodes: FloatArray, auto: FloatArray, cross: FloatArray, smoothness: float) -> Trajectory:
-    """Minimise ``w' K R K' w - 2 w' K c`` over dwells, and the path's shift, in turn.
-
-    ``auto`` holds R at lags up to its half width, ``cross`` holds c with zero displacement at its middle.
-    """
+def _fit(nodes: FloatArray, psf: FloatArray, smoothness: float) -> Trajectory:
+    """Minimise ``|| K' w - psf ||^2`` over dwells w, and the path's shift, in turn; the PSF's side is odd."""
     moved = nodes
     for turn in range(_ROUNDS):
-        pieces, target = _piece_psfs(moved, cross)
-        dwell = _non_negative_fit(pieces, auto, target, smoothness)
+        pieces, target = _piece_psfs(moved, psf)
+        dwell = _non_negative_fit(pieces, target, smoothness)
         if turn == _ROUNDS - 1:
             break
         drawn = np.tensordot(dwell, pieces, axes=1)
@@ -115,28 +67,27 @@ def _fit(nodes: FloatArray, auto: FloatArray, cross: FloatArray, smoothness: flo
     return _trajectory(moved, dwell)
 
 
-def _piece_psfs(nodes: FloatArray, cross: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _piece_psfs(nodes: FloatArray, psf: FloatArray) -> tuple[FloatArray, FloatArray]:
     """PSF of each piece between nodes (n, S, S), summing to 1 each, and the target in the same frame.
 
     The frame just holds the path: no dwell explains light of the target further out.
     """
     half = int(np.ceil(np.abs(nodes).max())) + 1 + int(_MOST_SHIFT_PX)
-    beyond = half - cross.shape[0] // 2
-    target = np.pad(cross, beyond) if beyond >= 0 else cross[-beyond:beyond, -beyond:beyond]
+    beyond = half - psf.shape[0] // 2
+    target = np.pad(psf, beyond) if beyond >= 0 else psf[-beyond:beyond, -beyond:beyond]
     size = 2 * half + 1
     edges = np.linspace(0, 1, len(nodes))
     return slice_psfs(edges, nodes, edges, size) * (len(nodes) - 1), target
 
 
-def _non_negative_fit(pieces: FloatArray, auto: FloatArray, target: FloatArray, smoothness: float) -> FloatArray:
+def _non_negative_fit(pieces: FloatArray, target: FloatArray, smoothness: float) -> FloatArray:
     count = len(pieces)
     flat = pieces.reshape(count, -1)
-    gram = flat @ _filtered(pieces, auto).reshape(count, -1).T
+    gram = flat @ flat.T
     scale = float(np.trace(gram)) / count
     differences = np.diff(np.eye(count), axis=0)
-    gram = 0.5 * (gram + gram.T) + scale * (smoothness * differences.T @ differences + _RIDGE * np.eye(count))
+    gram += scale * (smoothness * differences.T @ differences + _RIDGE * np.eye(count))
     right = flat @ target.ravel()
-    gram += max(0.0, _RIDGE * scale - float(linalg.eigvalsh(gram, subset_by_index=[0, 0])[0])) * np.eye(count)
     total = max(float(right.sum() / max(gram.sum(), 1e-30)), 1e-12)  # of the best uniform dwell
     floor = np.full(count, _FLOOR * total)
     root = linalg.cholesky(gram)
@@ -144,40 +95,6 @@ def _non_negative_fit(pieces: FloatArray, auto: FloatArray, target: FloatArray, 
     above, _ = optimize.nnls(root, rest, maxiter=100 * count)
     dwell = floor + above
     return np.asarray(dwell, dtype=np.float64)
-
-
-def _filtered(pieces: FloatArray, auto: FloatArray) -> FloatArray:
-    if auto.shape == (3, 3):  # an impulse: the data is the PSF itself
-        return pieces
-    size, half = pieces.shape[1], auto.shape[0] // 2
-    side = fft.next_fast_len(size + 2 * half, real=True)
-    kernel = np.zeros((side, side))
-    kernel[: 2 * half + 1, : 2 * half + 1] = auto
-    kernel = np.roll(kernel, (-half, -half), axis=(0, 1))
-    product = fft.rfft2(pieces, (side, side)) * fft.rfft2(kernel)
-    return np.asarray(fft.irfft2(product, (side, side))[:, :size, :size], dtype=np.float64)
-
-
-def _gradient_correlations(blurred: FloatArray, latent: FloatArray, reach: int) -> tuple[FloatArray, FloatArray]:
-    """Windowed autocorrelation of the latent gradients (lags to 2 reach) and their correlation with the photo's."""
-    window = np.outer(*(_taper(n, reach) for n in blurred.shape[1:]))
-    shape = [fft.next_fast_len(n + 2 * reach, real=True) for n in blurred.shape[1:]]
-    auto, cross = np.zeros((4 * reach + 1, 4 * reach + 1)), np.zeros((2 * reach + 1, 2 * reach + 1))
-    for axis in (1, 2):
-        for photo, scene in zip(np.gradient(blurred, axis=axis), np.gradient(latent, axis=axis), strict=True):
-            spectrum = np.conj(fft.rfft2(scene, shape))
-            for out, image in ((auto, window * scene), (cross, window * photo)):
-                full = fft.irfft2(fft.rfft2(image, shape) * spectrum, shape)
-                half = out.shape[0] // 2
-                out += np.roll(full, (half, half), axis=(0, 1))[: 2 * half + 1, : 2 * half + 1]
-    return 0.5 * (auto + auto[::-1, ::-1]), cross
-
-
-def _taper(size: int, margin: int) -> FloatArray:
-    """Window of one axis: zero within ``margin`` of the border, then a smooth rise as wide."""
-    distance = np.minimum(np.arange(size), np.arange(size)[::-1]) + 0.5
-    rise = np.clip((distance - margin) / max(1.0, min(margin, size / 2 - margin)), 0, 1)
-    return np.asarray(np.sin(0.5 * np.pi * rise) ** 2, dtype=np.float64)
 
 
 def _nodes(path_px: ArrayLike, extend_px: float) -> FloatArray:
@@ -224,11 +141,3 @@ def checked_psf(psf: ArrayLike) -> FloatArray:
     if light.ndim != 2 or not np.isfinite(light).all() or light.min(initial=0.0) < 0 or light.sum() <= 0:
         raise ValueError(f"psf: must be a finite, non-negative (H, W) array with some light, got shape {light.shape}")
     return light
-
-
-def _checked_photo(name: str, image: ArrayLike) -> FloatArray:
-    """Channels first."""
-    values = np.asarray(image, dtype=np.float64)
-    if values.ndim not in (2, 3) or not values.size or not np.isfinite(values).all():
-        raise ValueError(f"{name}: must be a finite (H, W) or (H, W, 3) image, got shape {values.shape}")
-    return values[None] if values.ndim == 2 else np.moveaxis(values, 2, 0)

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import signal
 
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
-from motdiff.tracing import fit_dwell, fit_dwell_to_photo, path, trace_map, trace_psf, trace_psf_to_trajectory
+from motdiff.tracing import fit_dwell, path, trace_map, trace_psf, trace_psf_to_trajectory
 from motdiff.tracing.graph import Branch, BranchGraph
 from motdiff.tracing.trail import smoothest_trail
 from motdiff.trajectory import Trajectory
@@ -190,18 +189,6 @@ def test_map_and_dwell_beat_the_bare_map():
     assert fitted > 0.98
 
 
-@pytest.mark.parametrize("channels", [None, 3])
-def test_dwell_from_the_photo_agrees_with_dwell_from_the_psf(channels):
-    rng = np.random.default_rng(5)
-    truth = Trajectory.from_samples(figure_eight(6.0), t=np.linspace(0, 1, 600) ** 2)
-    shape = (160, 150) if channels is None else (160, 150, channels)
-    scene = signal.fftconvolve(rng.random(shape), np.ones((3, 3) if channels is None else (3, 3, 1)) / 9, "same")
-    psf = truth.psf(33) if channels is None else truth.psf(33)[..., None]
-    photo = signal.fftconvolve(scene, psf, "same", axes=(0, 1)) + rng.normal(0, 0.003, scene.shape)
-    found = fit_dwell_to_photo(truth.xy + 0.2, photo, scene, size=33)
-    assert mnc_subpixel(found.psf(33), truth.psf(33)) > 0.98
-
-
 @settings(max_examples=30, deadline=None)
 @given(
     seed=st.integers(0, 10_000), kind=st.sampled_from(["delta", "blob", "noise", "corner", "bar", "flat", "speckle"])
@@ -257,13 +244,6 @@ NAN_MAP = np.full((256, 256), np.nan)
         (lambda: fit_dwell(np.zeros((0, 2)), np.ones((9, 9))), "path_px: must be"),
         (lambda: fit_dwell(np.zeros((3, 3)), np.ones((9, 9))), "path_px: must be"),
         (lambda: fit_dwell([[0, np.inf]], np.ones((9, 9))), "path_px: must be"),
-        (lambda: fit_dwell_to_photo([[0, 0]], np.ones((99, 99)), np.ones((99, 98)), size=9), "sharp: shape"),
-        (lambda: fit_dwell_to_photo([[0, 0]], np.ones((9, 9)), np.ones((9, 9)), size=9), "photo: must be at least 18"),
-        (lambda: fit_dwell_to_photo([[0, 0]], np.ones((99, 99)), np.ones((99, 99)), size=9), "sharp: has no gradients"),
-        (
-            lambda: fit_dwell_to_photo([[0, 0]], np.full((9, 9), np.nan), np.ones((9, 9)), size=3),
-            "photo: must be a finite",
-        ),
     ],
 )
 def test_bad_input_is_one_clear_line(call, message):
