@@ -28,6 +28,7 @@ __all__ = [
 ]
 
 FAILURE, BAD_INPUT, INTERRUPTED = 1, 2, 130
+_ROOMY = 100  # columns of a terminal: with fewer the bar is short, and the time elapsed is not shown
 _WIDE = 16  # characters: longer cells are texts, which wrap, as names do, but to no fewer
 
 
@@ -114,13 +115,16 @@ def progress(task: str) -> Iterator[Tick]:
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.table import Column
 
+    console = Console(stderr=True)
+    elapsed = (TextColumn("elapsed"), TimeElapsedColumn()) if console.width >= _ROOMY else ()
     columns = (
-        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-        TextColumn("elapsed"), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(min(max(console.width - _ROOMY, 10), 40)),
+        TextColumn("{task.percentage:>3.0f} %"), *elapsed, TextColumn("left"), TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
     )  # fmt: skip
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=console, transient=True, expand=True) as bar:
         row = bar.add_task(task, total=None, note="")
 
         def tick(fraction: float, note: str = "", /) -> None:

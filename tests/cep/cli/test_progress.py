@@ -1,6 +1,8 @@
 """What commands show while they work: something from the first second, and a share that only grows, to the whole."""
 
+import io
 import json
+import re
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -9,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from cep.cli.console import progress
 from cep.io.images import write_image
 from motdiff.estimators.base import MotionEstimate
 from motdiff.simulate import blur_valid
@@ -69,6 +72,24 @@ def test_something_is_shown_before_anything_slow_is_loaded(workplace, arguments,
     for module, shown in found["shown"].items():
         assert words in shown, module
     assert "\ncep: " in found["last"].replace("\x1b[2K", "\n")
+
+
+@pytest.mark.parametrize("columns", [64, 80, 100, 120, 200])
+def test_the_time_left_is_whole_however_narrow_the_terminal_is(monkeypatch, columns):
+    shown = io.StringIO()
+    shown.isatty = lambda: True
+    monkeypatch.setattr(sys, "stderr", shown)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("TERM", "xterm")
+    with progress("estimating the motion (motdiff)") as tick:
+        tick(0.5, "3 of 7 photos, about 1.6 min left")
+    lines = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.getvalue()).replace("\r", "\n").split("\n")
+    halves = [line for line in lines if "50 %" in line]
+    assert halves
+    for line in halves:
+        assert len(line) <= columns
+        assert "estimating the motion (motdiff)" in line
+        assert "left -:--:--" in line
 
 
 @pytest.fixture
