@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import pi
 from typing import Any, Protocol
 
 import numpy as np
@@ -154,15 +153,12 @@ def _nothing_below(lines: Lines, box: FloatArray, level: float, budget: int) -> 
         looked += len(cells)
         if looked > budget:
             raise RefusedError(f"the lower bound {level:.9g} could not be confirmed with {budget} frequencies")
-        value, slope = lines.look(cells)
-        size, radius = np.abs(value), float(np.hypot(*half))
+        size, loss = lines.bound_cells(cells, half, used)
         if size.min() < level - lines.slack:
             where = cells[size.argmin()]
             at = named(where[used])
             raise RefusedError(f"|H| at {at} is {size.min():.9g}, below the lower bound {level:.9g}")
-        downhill = np.where(used, np.abs((np.conj(value)[:, None] * slope).real), 0) / np.maximum(size, 1e-300)[:, None]
-        loss = (downhill * half).sum(axis=1) * (1 + 1e-12) + 2 * pi**2 * lines.principal * radius**2
-        slack = lines.slack * (1 + 10 * lines.spread * radius)
+        slack = lines.slack * (1 + 10 * lines.spread * float(np.hypot(*half)))
         cells = cells[size - loss - slack < level]
         if len(cells) and loss.max() < slack:
             raise RefusedError(f"the lower bound {level:.9g} is too close to the minimum for double precision")

@@ -49,6 +49,18 @@ class Lines:
             slope[lo : lo + step] = -2j * pi * (seen @ self.middle) + pi * ((wave * change) @ self.delta)
         return value, slope
 
+    def bound_cells(
+        self, cells: FloatArray, half: FloatArray, used: NDArray[np.bool_]
+    ) -> tuple[FloatArray, FloatArray]:
+        """|H| at the centres of cells (F, 2), and by how much it may be lower within them, but for rounding, (F,) each.
+
+        The cells have half-sides ``half``, (2,); an axis that is not ``used`` has none.
+        """
+        value, slope = self.look(cells)
+        size, radius = np.abs(value), float(np.hypot(*half))
+        downhill = np.where(used, np.abs((np.conj(value)[:, None] * slope).real), 0) / np.maximum(size, 1e-300)[:, None]
+        return size, (downhill * half).sum(axis=1) * (1 + 1e-12) + 2 * pi**2 * self.principal * radius**2
+
     def _look_at_points(self, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Sum open chips in the machine's longest floating point: a minimum may be a millionth of their number."""
         value, slope = np.empty(len(f), np.complex128), np.zeros((len(f), 2), np.complex128)

@@ -15,6 +15,7 @@ from cep.io.files import StoredCode, read_code, write_code
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.certificate import BOTH, FORWARD, Certificate, certify
 from cep.proofs.verify.certificates import verify
+from cep.proofs.verify.sums import path_lines
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -270,3 +271,19 @@ def test_a_certificate_that_is_short_of_a_field_is_told():
         Certificate.from_dict({name: value for name, value in CHIPS.items() if name != "upper"})
     with pytest.raises(ValueError, match="wrong type"):
         Certificate.from_dict(CHIPS | {"at": 3})
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_nowhere_in_a_cell_is_the_modulus_below_its_bound(seed):
+    """Large cells around random frequencies, sampled densely."""
+    rng = np.random.default_rng(seed)
+    steps = rng.normal(size=(6, 2)) * 3
+    path = Trajectory.from_samples(np.cumsum(steps, axis=0), direction="known")
+    code = ShutterCode("".join(rng.choice(["0", "1"], 7)) + "1")
+    lines = path_lines(code.bits, path.t, path.xy)
+    half = np.full(2, float(rng.choice([0.002, 0.005, 0.01])))
+    cells = rng.uniform(-0.5, 0.5, (40, 2))
+    size, loss = lines.bound_cells(cells, half, np.array([True, True]))
+    grid = np.stack(np.meshgrid(*2 * [np.linspace(-1, 1, 21)]), axis=-1).reshape(-1, 2) * half
+    lowest = np.abs(lines.look((cells[:, None] + grid).reshape(-1, 2))[0]).reshape(40, -1).min(axis=1)
+    assert (lowest >= size - loss - 1e-12).all()
