@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 CROP_PX = 256
 """Side of the crops in which motion is searched, px."""
 LEAST_PX = 48
-"""Least side of a photo in which motion can be searched, px; a method may need more."""
+"""Least side of a photo in which the classical search is tried, px."""
 CLIPPED_LEVEL = 0.98  # JPEG and demosaicing leave a clipped area a little below full scale
 _CLIPPED_SHARE = 0.02  # a crop with this share of clipped pixels is used only when there is nothing else
 _OVERLAP_SHARE = 0.25
