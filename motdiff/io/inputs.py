@@ -78,7 +78,7 @@ def read_json(path: Path | str) -> Any:
     try:
         return json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: not a JSON file ({one_line(error)})") from None
+        raise ValueError(f"{path}: not a JSON file ({_reason(error)})") from None
 
 
 def read_toml(path: Path | str) -> dict[str, Any]:
@@ -95,7 +95,16 @@ def read_toml(path: Path | str) -> dict[str, Any]:
     try:
         return tomllib.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: not a TOML file ({one_line(error)})") from None
+        raise ValueError(f"{path}: not a TOML file ({_reason(error)})") from None
+
+
+def _reason(error: ValueError | RecursionError) -> str:
+    """Say in plain words why a parser refuses a file."""
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
+    if isinstance(error, json.JSONDecodeError | tomllib.TOMLDecodeError | UnicodeDecodeError):
+        return one_line(error)
+    return "a number in it has thousands of digits"  # all else that Python refuses here
 
 
 def one_line(text: object) -> str:

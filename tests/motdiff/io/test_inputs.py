@@ -80,3 +80,19 @@ def test_messages_are_cut_and_cannot_command_a_terminal():
     for hostile in ("x" * 10**6, "\x1b" * 10**6, "a\nb" * 10**5, "\udcff\x07", Path("\x9b31m")):
         assert one_line(hostile).isprintable()
         assert len(one_line(hostile)) <= 300
+
+
+@pytest.mark.parametrize(
+    ("read", "text"),
+    [
+        (read_json, '{"a": ' + "9" * 5000 + "}"),
+        (read_json, "[" * 100_000),
+        (read_toml, f"a = {'9' * 5000}"),
+        (read_toml, f"a = {'[' * 5000}"),
+    ],
+)
+def test_why_a_parser_gives_up_is_said_in_plain_words(tmp_path, read, text):
+    path = tmp_path / "a.txt"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"a\.txt: not a (JSON|TOML) file \((it is nested|a number in it)"):
+        read(path)
