@@ -39,7 +39,9 @@ _WITH_TORCH = ("motdiff", "pmp")
 
 
 def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...]:
-    """List the photos of a folder, sorted; neither hidden ones nor subfolders.
+    """List the photos of a folder, sorted; no hidden files, no subfolders, and no pictures of PSFs.
+
+    A ``NAME_psf.png`` beside ``NAME_psf.npy`` is what ``cep simulate`` writes beside a photo.
 
     Parameters
     ----------
@@ -58,6 +60,7 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
         for path in sorted(root.iterdir())
         if path.suffix.lower() in PHOTO_SUFFIXES
         and not path.name.startswith(".")
+        and not (path.name.endswith("_psf.png") and path.with_suffix(".npy").is_file())
         and (path.is_file() or not path.exists())  # a link that leads nowhere is told of, not passed over
         and not (but is not None and path.exists() and path.samefile(but))
     ]

@@ -139,6 +139,13 @@ def test_a_photo_that_is_too_small_fails_before_an_estimator_is_made(cep, shots,
     assert len(made) == len(MOTIONS)
 
 
+def test_the_psf_that_a_simulation_writes_beside_its_photo_is_no_photo(cep, shots):
+    cep.succeeds("simulate", "sharp.png", "--linear", "9", "-o", "shots/made.png")
+    assert Path("shots/made_psf.png").is_file()
+    write_image("shots/own_psf.png", np.random.default_rng(0).random((30, 90)))
+    assert {path.name for path in photos_in("shots")} == {*MOTIONS, "made.png", "own_psf.png"}
+
+
 def test_of_a_photo_that_fails_now_nothing_older_stays(cep, shots, guesses):
     whole = Path("shots/a.png").read_bytes()
     cep.succeeds(*REFERENCE)
