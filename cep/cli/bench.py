@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from cep.bench.tables import Table
     from cep.cli.console import Tick
     from cep.jobs.engine import Outcome
+    from cep.optics.code import ShutterCode
 
 __all__ = ["SEARCH_S", "bench", "blind", "blind_job", "cep", "cep_job", "codes", "codes_job", "speed", "speed_job"]
 
@@ -237,6 +238,44 @@ def _command(name: str, data: Path | None, protocol: str, methods: str, gyro: Pa
     return spelled(name, given, quick=quick)
 
 
+OwnCodes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--code", metavar="NAME=SOURCE",
+        help="Also a code of your own: bits, code.json, a name or module:name, as my=1011; may be repeated.",
+    ),
+]  # fmt: skip
+
+
+def _own_codes(given: Sequence[str]) -> dict[str, ShutterCode]:
+    """Read the codes of ``--code``, by their names."""
+    from cep.bench.coded.run import check_names
+    from cep.codes.sources import load_code
+
+    found: dict[str, ShutterCode] = {}
+    for text in given:
+        name, equals, source = text.partition("=")
+        if not equals:
+            raise ValueError(f"--code: must be NAME=SOURCE, as my=1011, got {text[:40]!r}")
+        check_names([name])
+        if name in found:
+            raise ValueError(f"--code: every name must come once, {name} comes twice")
+        try:
+            found[name] = load_code(source)
+        except ValueError as error:
+            raise ValueError(f"--code: {name}: {error}") from None
+    return found
+
+
+def _own_spelled(given: Sequence[str], codes: Mapping[str, ShutterCode]) -> str:
+    """Spell the options ``--code`` without anybody's folders."""
+    from cep.codes.sources import code_file
+
+    sources = (text.partition("=")[2] for text in given)
+    named = (file.name if (file := code_file(source)) else source for source in sources)
+    return " ".join(f"--code {name}={source}" for name, source in zip(codes, named, strict=True))
+
+
 def cep(
     data: Data = None,
     protocol: Annotated[
@@ -251,6 +290,7 @@ def cep(
             "--designs", metavar="NAME,...", help="Ways to choose the code, as open,dnf,both-ways; all when omitted."
         ),
     ] = "",
+    code: OwnCodes = None,
     quick: Quick = False,
     workers: Workers = None,
     dask: Dask = None,
@@ -265,17 +305,29 @@ def cep(
     are kept: stopped by Ctrl-C, the same command with --force goes on.
 
     Example: cep bench cep --quick --protocol ours -o coded
+
+    Example: cep bench cep --quick --designs open,both-ways --code my=101100111000
     """
 
     def plan() -> Job:
         engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
-        return cep_job(output, engine, data=data, protocol=protocol, designs=designs, quick=quick, force=force)
+        return cep_job(
+            output, engine, data=data, protocol=protocol, designs=designs, codes=code or (), quick=quick, force=force
+        )
 
     run_job(plan, as_json=as_json)
 
 
 def cep_job(
-    output: Path, engine: Engine, *, data: Path | None, protocol: str, designs: str, quick: bool, force: bool
+    output: Path,
+    engine: Engine,
+    *,
+    data: Path | None,
+    protocol: str,
+    designs: str,
+    codes: Sequence[str] = (),
+    quick: bool,
+    force: bool,
 ) -> Job:
     """Plan the coded-exposure table; the parameters are the options of :func:`cep`."""
     from cep.bench.coded.designs import DESIGNS
@@ -290,14 +342,19 @@ def cep_job(
     chosen = coded_protocol(protocol)
     chosen = chosen.quick if quick else chosen
     names = [name.strip() for name in designs.split(",")] if designs else list(DESIGNS)
+    own = _own_codes(codes)
     photos, warnings = _photos(data, chosen)
-    given = {"--data": data and data.resolve().name, "--protocol": Path(protocol).name, "--designs": designs}
+    given = {
+        "--data": data and data.resolve().name, "--protocol": Path(protocol).name, "--designs": designs,
+        "": _own_spelled(codes, own),
+    }  # fmt: skip
     command = spelled("cep", given, quick=quick)
 
     def run(tick: Tick) -> tuple[Part, Callable[[Console], None]]:
         measured = measure_coded(
-            chosen, photos, cache=engine.cache, designs=names, workers=engine.workers, dask=engine.dask, progress=tick
-        )
+            chosen, photos, cache=engine.cache, designs=names, codes=own, workers=engine.workers, dask=engine.dask,
+            progress=tick,
+        )  # fmt: skip
         all_warnings = [*warnings, *measured.warnings]
         if measured.failures:
             name, reason = next(iter(measured.failures.items()))
@@ -312,7 +369,10 @@ def cep_job(
         )  # fmt: skip
         return part, lambda console: show_tables(console, tables)
 
-    about = {"folder": output, "protocol": chosen.name, "designs": names}
+    about = {
+        "folder": output, "protocol": chosen.name, "designs": names,
+        "codes": {name: one.bits for name, one in own.items()},
+    }  # fmt: skip
     return Job(about, run)
 
 
@@ -339,8 +399,9 @@ _FAMILY = "jeon"
 
 def codes(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME", help="Published codes; Jeon's table when none is named.")
+        list[str] | None, typer.Argument(metavar="NAME", help="Published codes; Jeon's table when no code is named.")
     ] = None,
+    code: OwnCodes = None,
     time_s: Annotated[float, typer.Option("--time", metavar="S", help="Time of each search, seconds.")] = SEARCH_S,
     workers: Workers = None,
     dask: Dask = None,
@@ -359,12 +420,21 @@ def codes(
 
     def plan() -> Job:
         engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
-        return codes_job(output, engine, names=names or (), time_s=time_s, seed=seed, force=force)
+        return codes_job(output, engine, names=names or (), codes=code or (), time_s=time_s, seed=seed, force=force)
 
     run_job(plan, as_json=as_json)
 
 
-def codes_job(output: Path, engine: Engine, *, names: Sequence[str], time_s: float, seed: int, force: bool) -> Job:
+def codes_job(
+    output: Path,
+    engine: Engine,
+    *,
+    names: Sequence[str],
+    codes: Sequence[str] = (),
+    time_s: float,
+    seed: int,
+    force: bool,
+) -> Job:
     """Plan the comparison; the parameters are the options of :func:`codes`."""
     from cep.bench.codes import CODE_FILES, CODE_HEAD, code_cells, code_lines, code_row, codes_table, write_codes_report
     from cep.bench.index_page import Part
@@ -376,10 +446,14 @@ def codes_job(output: Path, engine: Engine, *, names: Sequence[str], time_s: flo
     claim_folder(output, CODE_FILES, force=force)
     if not 0 < time_s < 1e6:
         raise ValueError(f"--time: must be above 0 seconds, got {time_s:g}")
-    chosen = dict.fromkeys(names or [name for name in registry.names() if name.startswith(_FAMILY)])
-    known = {name: registry.published(name).code for name in chosen}
+    own = _own_codes(codes)
+    family = [] if own else [name for name in registry.names() if name.startswith(_FAMILY)]
+    known = {name: registry.published(name).code for name in dict.fromkeys(names or family)}
+    if twice := sorted(own.keys() & known.keys()):
+        raise ValueError(f"--code: {twice[0]} is the name of a published code that is compared too, take another")
+    known |= own
     cells = code_cells(list(known.items()), time_s=time_s, seed=seed)
-    given = {"": " ".join(names), "--time": f"{time_s:g}", "--seed": seed}
+    given = {"": f"{' '.join(names)} {_own_spelled(codes, own)}".strip(), "--time": f"{time_s:g}", "--seed": seed}
     command = spelled("codes", given, quick=False)
 
     def run(tick: Tick) -> tuple[Part, Callable[[Console], None]]:

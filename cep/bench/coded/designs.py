@@ -18,7 +18,7 @@ from cep.search.recipe import search_code
 from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
-__all__ = ["DESIGNS", "Design", "MotionPrior", "design_code"]
+__all__ = ["DESIGNS", "Design", "MotionPrior", "design_code", "design_of"]
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,12 @@ DESIGNS: dict[str, Design] = {
     "oracle": Design("oracle (true path)", "true"),
 }
 """Rows of the table, in its order."""
+
+
+def design_of(name: str) -> Design:
+    """Return the design of a row: one of :data:`DESIGNS`, or a code of the user's own, which has no motion prior."""
+    return DESIGNS.get(name) or Design(name, "none")
+
 
 _RANDOM_CODES = 15
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.bench.coded.designs import DESIGNS
+from cep.bench.coded.designs import design_of
 from cep.bench.coded.protocol import paths_from
 from cep.bench.coded.stages import pictures_of
 from cep.optics.code import ShutterCode
@@ -55,7 +55,7 @@ def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str,
         light_true = taken.photo / max(code.duty, 1e-3) if arguments["light_true"] else taken.photo
         _show(axes[0, column], light_true, linear=linear)
         _show(axes[1, column], taken.restored, linear=linear)
-        axes[0, column].set_title(DESIGNS[name].label.replace(" (", "\n("), fontsize=7, pad=14)
+        axes[0, column].set_title(design_of(name).label.replace(" (", "\n("), fontsize=7, pad=14)
         strip = axes[0, column].inset_axes([0, 1.02, 1, 0.05])
         strip.imshow(code.array[None, :], cmap="gray", aspect="auto", vmin=0, vmax=1, interpolation="nearest")
         strip.set_xticks([])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cep.bench.coded.designs import DESIGNS
 from cep.bench.coded.picture import coded_figure
 from cep.bench.coded.protocol import CodedProtocol
 from cep.bench.coded.run import ESTIMATORS, CodedTable
@@ -84,7 +85,8 @@ def _figure(measured: CodedTable) -> Figure:
     at = [shot for shot in measured.shots if shot.photons == level]
     photo, motion = at[0].photo, at[0].motion
     shown = {shot.design: shot for shot in at if (shot.photo, shot.motion) == (photo, motion)}
-    picked = {name: shown[name] for name in _PICTURED if name in shown} or shown
+    wanted = (*_PICTURED, *(name for name in shown if name not in DESIGNS))
+    picked = {name: shown[name] for name in wanted if name in shown} or shown
     return coded_figure(
         {name: shot.arguments for name, shot in picked.items()},
         {name: f"{float(shot.figures['psnr_db'] or 0):.2f} dB" for name, shot in picked.items()},
@@ -102,7 +104,8 @@ def _light(protocol: CodedProtocol) -> str:
 def _introduction(measured: CodedTable, tables: Sequence[Table], command: str, warnings: Sequence[str]) -> str:
     protocol = measured.protocol
     photos = len({shot.photo for shot in measured.shots})
-    counts = {name: harmed(measured, name) for name in ("both-ways", "one-way")}
+    own = list(dict.fromkeys(shot.design for shot in measured.shots if shot.design not in DESIGNS))
+    counts = {name: harmed(measured, name) for name in ("both-ways", "one-way", *own)}
     mncs = {
         kind: [float(f["mnc"] or 0) for (k, _, _), f in measured.estimates.items() if k == kind and f]
         for kind in ESTIMATORS
@@ -115,7 +118,7 @@ def _introduction(measured: CodedTable, tables: Sequence[Table], command: str, w
         f"{photos} photos, {protocol.motions} motions each{_light(protocol)}. {protocol.chips} chips (DCE: 32); "
         f"searches keep {protocol.open_range[0]} to {protocol.open_range[1]} of them open and have "
         f"{protocol.steps:,} moves each for `{protocol.objective}` (DNF: always `noise`, of a straight blur); "
-        "snapshots, strobes and published codes are as they are. "
+        "snapshots, strobes and published codes are as they are, and so are codes that were given. "
         f"Restored by `{protocol.restoration}`{_RESTORED_BY[protocol.restored_by]}",
         ""
         if protocol.photons

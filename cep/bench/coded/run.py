@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from cep.bench.coded.designs import DESIGNS, MotionPrior
+from cep.bench.coded.designs import DESIGNS, MotionPrior, design_of
 from cep.bench.coded.protocol import CodedProtocol, drawn_motions, paths_from, paths_to
 from cep.bench.coded.stages import choose_code, motion_of, photo_of
 from cep.bench.datasets import Cut
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.engine import Outcome, run_cells
 from cep.jobs.fingerprint import source_version
+from cep.optics.code import ShutterCode
 from motdiff.simulate import border_px
 from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
@@ -27,6 +29,7 @@ __all__ = [
     "Estimates",
     "Shot",
     "assumed_path",
+    "check_names",
     "code_version",
     "kinds_needed",
     "measure_coded",
@@ -39,6 +42,7 @@ __all__ = [
 
 Say = Callable[[float, str], None]
 
+_NAME = re.compile(r"[\w.+-]+")
 _STAGES = {"motion": (0.0, 0.25), "code": (0.25, 0.65), "photo": (0.65, 1.0)}  # of the progress
 
 
@@ -49,6 +53,7 @@ class Shot:
     Attributes
     ----------
     design, photo : str
+        The design's name; that of the user's own code.
     motion : int
     photons : float or None
     figures : mapping
@@ -100,6 +105,7 @@ def measure_coded(
     *,
     cache: Path,
     designs: Sequence[str] = tuple(DESIGNS),
+    codes: Mapping[str, ShutterCode] | None = None,
     workers: int = 1,
     dask: str | None = None,
     progress: Say = lambda _fraction, _note: None,
@@ -113,6 +119,8 @@ def measure_coded(
         Sharp; seeds of its crop and noise depend on the name.
     cache : folder of finished cells
     designs : sequence of names of :data:`cep.bench.coded.designs.DESIGNS`
+    codes : mapping from a name to a code, optional
+        Codes of the user's own, which follow the designs; :func:`check_names` says what names they may have.
     workers, dask
         As :func:`cep.jobs.engine.run_cells` takes them.
     progress : callable
@@ -120,7 +128,7 @@ def measure_coded(
     Raises
     ------
     ValueError
-        If a design is unknown or comes twice.
+        If a design is unknown or comes twice, or a code has the name of a design.
     OSError, RuntimeError
         As :func:`cep.jobs.engine.run_cells`.
     """
@@ -129,13 +137,16 @@ def measure_coded(
         raise ValueError(f"designs: must be among {', '.join(DESIGNS)}, got {unknown[0]!r}")
     if len(set(designs)) < len(designs):
         raise ValueError(f"designs: each must come once, got {', '.join(designs)}")
+    own = codes or {}
+    check_names(own)
     stages = _Stages(cache, workers, dask, progress)
     truths = drawn_motions(protocol)
     motions = [paths_to([path], [1.0]) for path in truths]
     cuts = {photo: _cut(protocol, photo) for photo in photos}
     keys = [(photo, index) for photo in photos for index in range(len(truths))]
 
-    kinds = kinds_needed(protocol, designs)
+    rows = (*designs, *own)
+    kinds = kinds_needed(protocol, rows)
     versions = {kind: motion_version(ESTIMATORS[kind]) for kind in kinds}
     cells = [
         Cell(
@@ -180,15 +191,21 @@ def measure_coded(
         if prior is not None
         for level in protocol.levels
     ]  # fmt: skip
-    codes = stages.run("code", cells)
+    chosen = {name: str(figures["bits"]) for name, figures in stages.run("code", cells).items()}
+    chosen |= {
+        ("code", name, photo, str(index), str(level)): code.bits
+        for name, code in own.items()
+        for photo, index in keys
+        for level in protocol.levels
+    }
 
     version = photo_version()
     cells = [
         Cell(("photo", design, photo, str(index), str(level)), photo_of, arguments, version=version)
-        for design in designs
+        for design in rows
         for level in protocol.levels
         for photo, index in keys
-        if (code := codes.get(("code", design, photo, str(index), str(level))))
+        if (bits := chosen.get(("code", design, photo, str(index), str(level))))
         and (assumed := assumed_path(protocol, design, truths[index], estimates, photo, index)) != ""
         for arguments in [
             {
@@ -196,7 +213,7 @@ def measure_coded(
                 "cut": cuts[photo],
                 "motion": motions[index],
                 "assumed": assumed,
-                "bits": str(code["bits"]),
+                "bits": bits,
                 "borders": protocol.borders,
                 "light_true": bool(protocol.photons),
                 "restoration": protocol.restoration,
@@ -244,6 +261,21 @@ class _Stages:
         return {name: figures for name, figures in outcome.figures.items() if figures}
 
 
+def check_names(codes: Iterable[str]) -> None:
+    """Refuse names of codes that the tables could not hold, or that are those of built-in designs.
+
+    Raises
+    ------
+    ValueError
+        If a name is empty, has other characters than letters, digits and ``. _ + -``, or is a design's.
+    """
+    for name in codes:
+        if not _NAME.fullmatch(name):
+            raise ValueError(f"code: a name must be of letters, digits and . _ + -, got {name[:40]!r}")
+        if name in DESIGNS:
+            raise ValueError(f"code: {name} is the name of a built-in design, take another")
+
+
 def scene_px(protocol: CodedProtocol) -> int:
     """Return the side of a scene, px: with real borders light comes in from beyond the photo, a PSF's frame less 1."""
     return protocol.crop_px + border_px(protocol.borders)
@@ -273,7 +305,7 @@ Estimates = Mapping[tuple[str, str, int], Mapping[str, Figure]]
 
 def kinds_needed(protocol: CodedProtocol, designs: Sequence[str]) -> list[str]:
     """List the kinds of :data:`ESTIMATORS` that designs or their restoration need."""
-    wanted = {DESIGNS[name].path for name in designs}
+    wanted = {design_of(name).path for name in designs}
     if protocol.restored_by == "estimate":
         wanted |= {_restored_by(name) for name in designs}
     return [kind for kind in ESTIMATORS if kind in wanted]
@@ -298,10 +330,10 @@ def assumed_path(
     protocol: CodedProtocol, design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int
 ) -> str | None:
     """Path given to the restoration; None when it has the true PSF, empty when the estimate failed."""
-    if protocol.restored_by == "psf" or DESIGNS[design].path == "true":
+    if protocol.restored_by == "psf" or design_of(design).path == "true":
         return None
     if protocol.restored_by == "path":
-        if DESIGNS[design].uses_truth:
+        if design_of(design).uses_truth:
             return None  # its code is made for one direction
         return paths_to([replace(truth, direction="unknown")], [1.0])
     path = _restored_by(design)
@@ -313,7 +345,7 @@ def assumed_path(
 
 def _restored_by(design: str) -> str:
     # designs without a path need an estimate for the restoration: the best one
-    path = DESIGNS[design].path
+    path = design_of(design).path
     return "ours" if path in ("none", "length") else path
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cep.bench.coded.designs import DESIGNS
+from cep.bench.coded.designs import DESIGNS, design_of
 from cep.bench.coded.run import CodedTable, Shot
 from cep.bench.tables import Column, Table, differences, tabulate
 from cep.jobs.cells import Figure
@@ -46,7 +46,7 @@ def coded_tables(measured: CodedTable, *, reference: str = _REFERENCE) -> list[T
         figures = _figures(shots)
         light = "" if level is None else f", {level:,.0f} photo-electrons"
         title = f"Coded exposure, {measured.protocol.name}{light}"
-        apart = {DESIGNS[name].label for name in designs if beyond_comparison(measured, name)}
+        apart = {design_of(name).label for name in designs if beyond_comparison(measured, name)}
         rivals = {name: own for name, own in figures.items() if name[0] not in apart}
         limits = {name: own for name, own in figures.items() if name[0] in apart}
         if rivals:
@@ -68,7 +68,7 @@ def beyond_comparison(measured: CodedTable, design: str) -> bool:
     Where coding costs no light, the shorter an exposure the better, and a snapshot is no code.
     """
     free = not measured.protocol.photons and design in _FREE_LIGHT
-    return free or DESIGNS[design].uses_truth
+    return free or design_of(design).uses_truth
 
 
 def harmed(measured: CodedTable, design: str) -> tuple[int, int]:
@@ -111,7 +111,7 @@ def shots_csv(measured: CodedTable) -> str:
 
 def _figures(shots: Sequence[Shot]) -> dict[Name, Mapping[str, Figure]]:
     return {
-        (DESIGNS[shot.design].label, shot.photo, str(shot.motion)): {
+        (design_of(shot.design).label, shot.photo, str(shot.motion)): {
             **shot.figures,
             "worse_noise_gain_db": _worse(shot.figures),
             "zero": float(math.isinf(_worse(shot.figures))),

@@ -546,6 +546,38 @@ def test_codes_are_searched_for_the_light_that_they_meet(tmp_path, photos):
     assert len(list((tmp_path / "cells").glob("*.json"))) == 1 + 1 + 2 + 3 * 2
 
 
+def test_a_code_of_ones_own_is_a_row_that_counts_anew_when_it_changes(tmp_path, photos, monkeypatch):
+    options = {"cache": tmp_path / "cells", "designs": ("open",)}
+    tiny = replace(TINY, motions=1)
+    measured = measure_coded(
+        tiny, photos, codes={"mine": ShutterCode(LOPSIDED), "all": ShutterCode("1" * 16)}, **options
+    )
+    plain, mine, everything = measured.shots
+    assert [one.design for one in measured.shots] == ["open", "mine", "all"]
+    assert mine.bits == LOPSIDED
+    assert {**mine.arguments, "bits": ""} == {**plain.arguments, "bits": ""}
+    assert everything.figures == plain.figures  # the same code is the same photo, whatever its row is called
+    assert {"mine", "all"} < set(coded_tables(measured)[0].rows)
+    assert len(list((tmp_path / "cells").glob("*.json"))) == 1 + 2
+    other = measure_coded(tiny, photos, codes={"mine": ShutterCode(LOPSIDED[::-1])}, **options).shots[1]
+    assert (other.bits, other.figures != mine.figures) == (LOPSIDED[::-1], True)
+    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
+    assert (
+        measure_coded(tiny, photos, codes={"mine": ShutterCode(LOPSIDED)}, **options).shots[1].figures == mine.figures
+    )
+    for name in ("open", "", "a|b"):
+        with pytest.raises(ValueError, match=r"^code: "):
+            measure_coded(tiny, photos, codes={name: ShutterCode("1011")}, **options)
+
+
+def test_a_code_of_ones_own_is_restored_along_our_estimate(tmp_path, photos, guesses):
+    hidden = replace(TINY, restored_by="estimate", motions=1)
+    (mine,) = measure_coded(
+        hidden, photos, cache=tmp_path / "cells", designs=(), codes={"mine": ShutterCode(LOPSIDED)}
+    ).shots
+    np.testing.assert_array_equal(paths_from(mine.arguments["assumed"])[0][0].xy, GUESS.xy)
+
+
 def test_only_estimates_that_are_needed_are_made(tmp_path, photos, guesses):
     measured = measure_coded(
         replace(TINY, motions=1, restored_by="estimate"), photos, cache=tmp_path / "cells", designs=["oracle"]

@@ -10,6 +10,7 @@ import pytest
 from cep.bench.coded import designs
 from cep.bench.coded.designs import DESIGNS
 from cep.cli.console import FAILURE, INTERRUPTED
+from cep.io.files import StoredCode, write_code
 from cep.io.images import read_image, write_image
 from cep.optics.code import ShutterCode
 
@@ -157,6 +158,24 @@ def test_people_see_tables_and_where_the_files_are(cep, studio, monkeypatch):
     assert "`cep bench cep --protocol tiny.toml --designs open --quick`" in Path("out/cep.md").read_text()
 
 
+def test_codes_of_ones_own_follow_the_designs(cep, studio):
+    Path("folder").mkdir()
+    Path("own_code.py").write_text("bits = '1011010011010011'\n")
+    write_code("folder/kept.json", StoredCode(ShutterCode("1101000101101111")))
+    own = ("--code", "mine=own_code:bits", "--code", "kept=folder/kept.json", "--designs", "open", "--quick")
+    found = cep.succeeds(*CEP, *own, "-o", "out")
+    assert list(found["tables"][TABLES[3]]) == [DESIGNS["open"].label, "mine", "kept"]
+    assert (found["designs"], found["codes"]) == (
+        ["open"], {"mine": "1011010011010011", "kept": "1101000101101111"},
+    )  # fmt: skip
+    command = json.loads(Path("out/cep.json").read_text())["command"]
+    assert command.endswith("--designs open --code mine=own_code:bits --code kept=kept.json --quick")
+    with open("out/cep-photos.csv", newline="", encoding="utf-8") as stream:
+        assert {line["design"]: line["bits"] for line in csv.DictReader(stream)} == {
+            "open": "1" * 16, **found["codes"],
+        }  # fmt: skip
+
+
 def small():
     Path("small").mkdir()
     write_image("small/c.png", np.random.default_rng(0).random((158, 180)))
@@ -175,6 +194,13 @@ def notes():
     [
         (("--designs", "open,theirs"), None, "designs: must be among open, snapshot"),
         (("--designs", "open,open"), None, "designs: each must come once"),
+        (("--code", "dnf=1011"), None, "--code: dnf is the name of a built-in design"),
+        (("--code", "a=1", "--code", "a=10"), None, "--code: every name must come once, a comes twice"),
+        (("--code", "=1011"), None, "--code: a name must be of letters"),
+        (("--code", "1011"), None, "--code: must be NAME=SOURCE"),
+        (("--code", "a=theirs"), None, "--code: a: 'theirs' is no code"),
+        (("--code", "a="), None, "--code: a: "),
+        (("--code", "a=no_such_module:code"), None, "no_such_module"),
         (("--protocol", "theirs"), None, "protocol: must be one of paper, ours or a .toml file"),
         (("--protocol", "nowhere.toml"), None, "nowhere.toml: no such file"),
         (("--protocol", "wrong.toml"), wrong, "wrong.toml: open_range: must be two numbers of chips within 1..9"),

@@ -46,6 +46,16 @@ def test_codes_are_compared_at_equal_light_and_found_again(cep, workplace, monke
     assert alone["tables"]["codes"] == [rows["barker-13"]]
 
 
+def test_a_code_of_ones_own_is_searched_against(cep, workplace):
+    options = ("--code", "mine=11101", "--time", "0.1", "--workers", "1")
+    alone = cep.succeeds("bench", "codes", *options, "-o", "alone")
+    assert [(row["name"], row["chips"], row["open"]) for row in alone["tables"]["codes"]] == [("mine", 5, 4)]
+    both = cep.succeeds("bench", "codes", "bdinr-8", *options, "-o", "both")
+    assert [row["name"] for row in both["tables"]["codes"]] == ["bdinr-8", "mine"]
+    command = json.loads(Path("both/codes.json").read_text())["command"]
+    assert command == "cep bench codes bdinr-8 --code mine=11101 --time 0.1"
+
+
 def test_people_see_the_comparison(cep, workplace):
     cep("bench", "codes", "bdinr-8", "--time", "0.1", "-o", "codes")
     assert cep.code == 0, cep.err
@@ -114,6 +124,8 @@ def test_another_budget_is_another_cell():
     [
         (("nothing-7",), "nothing-7"),
         (("bdinr-8", "--time", "0"), "--time"),
+        (("bdinr-8", "--code", "bdinr-8=1011"), "--code: bdinr-8 is the name of a published code"),
+        (("--code", "mine=1012"), "--code: mine: "),
         (("bdinr-8", "-o", "sharp.png"), "sharp.png: is a file, a folder name is needed"),
         (("bdinr-8", "--cache", "sharp.png"), "sharp.png: is a file"),
     ],
