@@ -48,12 +48,15 @@ def luminance(photo: ArrayLike) -> FloatArray:
     ValueError
         If the shape is another, or a value is not finite.
     """
-    image = np.asarray(photo, dtype=np.float64)
+    image = np.asarray(photo)
+    if image.dtype.kind != "f":
+        image = image.astype(np.float64)
     if image.ndim not in (2, 3) or 0 in image.shape:
         raise ValueError(f"photo: must be (H, W) or (H, W, C), got shape {image.shape}")
     if not np.isfinite(image).all():
         raise ValueError("photo: must be finite, found NaN or infinity")
-    return image if image.ndim == 2 else image.mean(axis=2)
+    # a large photo comes in single precision, and is never held in double with all its colours
+    return np.asarray(image, dtype=np.float64) if image.ndim == 2 else image.mean(axis=2, dtype=np.float64)
 
 
 def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:

@@ -17,6 +17,7 @@ from motdiff.io.photo_files import check_px, photo_bytes
 from motdiff.simulate import to_display, to_linear
 
 __all__ = [
+    "LARGE_PX",
     "MIN_SIDE_PX",
     "PHOTO_SUFFIXES",
     "PICTURE_SUFFIXES",
@@ -30,6 +31,9 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.float64]
+
+LARGE_PX = 2**24
+"""Photos of more pixels are held in single precision: half the memory, and finer than any sensor."""
 
 MIN_SIDE_PX = 16
 """Smallest side of a photo, px: below it there is no blur to speak of."""
@@ -55,7 +59,7 @@ class Photo:
 
     Attributes
     ----------
-    pixels : (H, W) or (H, W, 3) float
+    pixels : (H, W) or (H, W, 3) float64, or float32 of more than :data:`LARGE_PX` pixels
         Linear light, 0..1, colours in the order red, green, blue.
     bits : int
         Bits per sample of the file: 8, 16, or 32 for floating point.
@@ -131,7 +135,7 @@ def read_photo(
         raise ValueError(f"{source}: has {decoded.dtype} samples, wanted 8 or 16 bit or floating point")
     full_scale = int(np.iinfo(decoded.dtype).max)
     # a table of all 2^bits values: forty megapixels cost one look-up each
-    table = to_linear(np.arange(full_scale + 1) / full_scale, gamma=exponent)
+    table: FloatArray = to_linear(np.arange(full_scale + 1) / full_scale, gamma=exponent).astype(_precision(decoded))
     return Photo(np.ascontiguousarray(table[decoded]), 8 * decoded.dtype.itemsize, warnings)
 
 
@@ -259,6 +263,10 @@ def _read_picture(source: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
     return decoded, warnings
 
 
+def _precision(decoded: NDArray[Any]) -> type:
+    return np.float32 if decoded.shape[0] * decoded.shape[1] > LARGE_PX else np.float64
+
+
 def _checked_float(source: Path, decoded: NDArray[Any]) -> FloatArray:
     with np.errstate(invalid="ignore"):
         low, high = float(decoded.min()), float(decoded.max())  # either is NaN where a sample is
@@ -266,7 +274,7 @@ def _checked_float(source: Path, decoded: NDArray[Any]) -> FloatArray:
         raise ValueError(f"{source}: {int((~np.isfinite(decoded)).sum())} samples are NaN or infinite")
     if low < -1e-6 or high > 1 + 1e-6:
         raise ValueError(f"{source}: samples run from {low:.4g} to {high:.4g}, scale them to 0..1")
-    pixels = np.array(decoded, dtype=np.float64, order="C")
+    pixels: FloatArray = np.array(decoded, dtype=_precision(decoded), order="C")
     return np.clip(pixels, 0, 1, out=pixels)
 
 

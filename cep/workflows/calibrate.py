@@ -242,9 +242,15 @@ def estimate_motion(
     else:
         check_texture(photo)
         estimator = method
-    pixels = np.asarray(photo, dtype=np.float64)
+    pixels = _as_light(photo)
     found = estimator.estimate(pixels)
     return Calibration(**{one.name: getattr(found, one.name) for one in fields(MotionEstimate)}, photo=pixels)
+
+
+def _as_light(photo: ArrayLike) -> FloatArray:
+    """Return the photo as floating point: large ones come in single precision, and stay so."""
+    pixels = np.asarray(photo)
+    return pixels if pixels.dtype in (np.float32, np.float64) else pixels.astype(np.float64)
 
 
 def check_photo(photo: ArrayLike, method: str) -> None:
@@ -273,7 +279,7 @@ def check_texture(photo: ArrayLike) -> None:
     ValueError
         If the photo's values span less than two steps of 8 bit.
     """
-    pixels = np.asarray(photo, dtype=np.float64)
+    pixels = np.asarray(photo)
     low, high = float(pixels.min()), float(pixels.max())
     if high - low < _LEAST_CONTRAST:
         shade = "black" if high < _LEAST_CONTRAST else "white" if low > 1 - _LEAST_CONTRAST else "the same"

@@ -66,7 +66,8 @@ class GyroEstimator:
         if needed > max(height, width):  # before anything of that size is made
             raise ValueError(
                 f"rate_unit: the rates move the image by {trajectory.extent_px:.4g} px during the exposure; the frame "
-                f"of {needed} px that this needs is larger than the photo ({width} x {height} px); are they in deg/s?"
+                f"of {needed} px that this needs is larger than the photo ({width} x {height} px): are they in deg/s "
+                "(rate_unit='deg'), or is the focal length or the unit of the times another?"
             )
         roll = roll_rad(self.trace, axes=self.axes, **window)
         corner_px = 0.5 * math.hypot(height, width)
