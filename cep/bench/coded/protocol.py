@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from cep.optics.camera import Camera
-from cep.restoration.methods import METHODS as RESTORATIONS
+from cep.restoration.methods import find_method
 from cep.search.problem import OBJECTIVES
 from motdiff.io.inputs import one_line, read_toml
 from motdiff.motions import boracchi_foi, quadratic, random_straight
@@ -34,7 +34,6 @@ _ALLOWED = {
     "borders": ("real", "symmetric"),
     "shakes": ("boracchi-foi", "mixed"),
     "objective": OBJECTIVES,
-    "restoration": tuple(RESTORATIONS),
     "restored_by": ("psf", "path", "estimate"),
 }
 
@@ -69,8 +68,11 @@ class CodedProtocol:
         Of the quantisation.
     read_noise_e : float
     restoration : str
+        One of :data:`cep.restoration.methods.METHODS`, or ``module:name`` of a function of the user's own that takes
+        (photo, psf).
     border_rounds : int
-        Rounds in which the restoration extends the photo beyond its borders. A blur of 60 px needs dozens.
+        Rounds in which the restoration extends the photo beyond its borders. A blur of 60 px needs dozens. A
+        restoration of the user's own is not told.
     restored_by : {"psf", "path", "estimate"}
         Input of the restoration: the true coded PSF; the true path, of unknown direction; or the path that the code
         was designed for, tried in both directions.
@@ -113,8 +115,13 @@ class CodedProtocol:
         for name, allowed in _ALLOWED.items():
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
-        if not (isinstance(self.name, str) and self.name):
-            raise ValueError(f"name: must be a text that is not empty, got {self.name!r}")
+        for name in ("name", "restoration"):
+            if not (isinstance(text := getattr(self, name), str) and text):
+                raise ValueError(f"{name}: must be a text that is not empty, got {text!r}")
+        try:
+            find_method(self.restoration)
+        except ValueError as error:
+            raise ValueError(f"restoration: {one_line(error).removeprefix('method: ')}") from None
         pair = self.open_range
         if not (_are(pair, int) and len(pair) == 2 and 1 <= pair[0] <= pair[1] <= self.chips):
             raise ValueError(f"open_range: must be two numbers of chips within 1..{self.chips} in order, got {pair!r}")

@@ -18,6 +18,7 @@ from cep.jobs.cells import Cell, Figure
 from cep.jobs.engine import Outcome, run_cells
 from cep.jobs.fingerprint import source_version
 from cep.optics.code import ShutterCode
+from motdiff.io.plugins import is_reference
 from motdiff.simulate import border_px
 from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
@@ -199,7 +200,7 @@ def measure_coded(
         for level in protocol.levels
     }
 
-    version = photo_version()
+    version = photo_version(protocol.restoration)
     cells = [
         Cell(("photo", design, photo, str(index), str(level)), photo_of, arguments, version=version)
         for design in rows
@@ -386,7 +387,11 @@ def code_version(design: str) -> str:
     return source_version(_CHOSEN.get(design, _SEARCHED), alone=[_PATHS, f"{_HERE}.designs", f"{_HERE}.stages"])
 
 
-def photo_version() -> str:
-    """Cache version of the photos: fingerprint of capture, restoration and comparison."""
+def photo_version(restoration: str) -> str:
+    """Cache version of the photos: fingerprint of capture, restoration and comparison.
+
+    Of a restoration of the user's own, the module that it names counts, and what of ours that module imports.
+    """
     used = ["cep.restoration", "cep.proofs.measure", "motdiff.metrics", "motdiff.simulate"]
+    used += [restoration.partition(":")[0]] if is_reference(restoration) else []
     return source_version(used, alone=_EXPOSED, files=[_DENOISER])

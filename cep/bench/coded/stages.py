@@ -23,6 +23,7 @@ from cep.optics.exposure import coded_psf
 from cep.proofs.measure import CodeMetrics, measure
 from cep.restoration import restore
 from cep.restoration.direction import detect_direction
+from motdiff.io.plugins import is_reference
 from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift
 from motdiff.psf_frame import PSF_PX, moved
 from motdiff.simulate import visible
@@ -63,7 +64,7 @@ def take_photo(
     light_true : bool
         Whether the photo has the code's light, or as much as with an open shutter.
     restoration : str
-        The Wiener filter has the camera's noise.
+        The Wiener filter has the camera's noise; a function of the user's own has the photo and the PSF alone.
     border_rounds : int
         Rounds of reblurring outside the photo's borders.
     camera : mapping
@@ -125,8 +126,10 @@ def photographed(
     away_px = _displacement_px(found, psf)
     whole_px = np.round(away_px).astype(int)
     used = scale * moved(found, down_px=whole_px[0], right_px=whole_px[1])
-    options: dict[str, Any] = {"camera": sensor} if restoration == "wiener" else {}
-    restored = restore(photo, used, method=restoration, border_rounds=border_rounds, **options).image
+    options: dict[str, Any] = {} if is_reference(restoration) else {"border_rounds": border_rounds}
+    if restoration == "wiener":
+        options["camera"] = sensor
+    restored = restore(photo, used, method=restoration, **options).image
     if (rest_px := whole_px - away_px).any():
         restored = ndimage.shift(restored, rest_px, order=5, mode="nearest")
     restored = np.clip(restored, 0, 1)

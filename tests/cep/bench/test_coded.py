@@ -2,6 +2,7 @@
 
 import csv
 import io
+import sys
 import tomllib
 from dataclasses import asdict, replace
 from functools import partial
@@ -18,7 +19,7 @@ from cep.bench.coded.designs import DESIGNS, MotionPrior, design_code
 from cep.bench.coded.protocol import CodedProtocol, coded_protocol, drawn_motions, paths_from, paths_to
 from cep.bench.coded.report import OUTPUTS, write_coded_report
 from cep.bench.coded.run import ESTIMATORS, CodedTable, Shot, code_version, measure_coded, motion_version, photo_version
-from cep.bench.coded.stages import estimate_motion, photographed, take_photo
+from cep.bench.coded.stages import estimate_motion, photographed, pictures_of, take_photo
 from cep.bench.coded.tables import coded_tables, harmed, shots_csv
 from cep.codes.published import DCE_CODE, published
 from cep.io.images import write_image
@@ -113,6 +114,9 @@ def test_a_protocol_of_ones_own_is_a_file(tmp_path):
         ({"shakes": "hard"}, "shakes: must be one of"),
         ({"objective": "psnr"}, "objective: must be one of min-mtf"),
         ({"restoration": "magic"}, "restoration: must be one of wiener"),
+        ({"restoration": 3}, "restoration: must be a text"),
+        ({"restoration": "math:pi"}, "restoration: math:pi is no function"),
+        ({"restoration": "math:no_such"}, "restoration: math:no_such: the module math has no 'no_such'"),
         ({"name": ""}, "name: must be a text"),
         ({"restored_by": "luck"}, "restored_by: must be one of psf, path, estimate, got 'luck'"),
         ({"open_range": [6]}, "open_range: must be two numbers"),
@@ -578,6 +582,29 @@ def test_a_code_of_ones_own_is_restored_along_our_estimate(tmp_path, photos, gue
     np.testing.assert_array_equal(paths_from(mine.arguments["assumed"])[0][0].xy, GUESS.xy)
 
 
+@pytest.fixture
+def own_restorations(tmp_path, monkeypatch):
+    """Two modules of the user's own in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    for name, factor in (("own_halving", 0.5), ("own_doubling", 2.0)):
+        Path(f"{name}.py").write_text(f"def restored(photo, psf):\n    return {factor} * photo / psf.sum()\n")
+    yield
+    for name in ("own_halving", "own_doubling"):
+        sys.modules.pop(name, None)
+
+
+def test_a_restoration_of_ones_own_restores_the_table(tmp_path, photos, own_restorations):
+    own = coded_protocol(written(tmp_path / "mine.toml", restoration="own_halving:restored", motions=1))
+    measured = measure_coded(own, photos, cache=tmp_path / "cells", designs=("open",))
+    assert measured.failures == {}
+    taken = pictures_of(**measured.shots[0].arguments)
+    np.testing.assert_allclose(taken.restored, np.clip(0.5 * taken.photo, 0, 1), atol=1e-9)
+    # its module counts, also where nothing else differs
+    versions = {photo_version(name) for name in ("wiener", "own_halving:restored", "own_doubling:restored")}
+    assert len(versions) == 3
+    assert photo_version("wiener") == photo_version("tv")  # these are arguments of the cells
+
+
 def test_only_estimates_that_are_needed_are_made(tmp_path, photos, guesses):
     measured = measure_coded(
         replace(TINY, motions=1, restored_by="estimate"), photos, cache=tmp_path / "cells", designs=["oracle"]
@@ -629,10 +656,10 @@ def test_designs_are_refused_before_any_work(tmp_path, photos, names, message):
 
 
 def test_a_changed_method_is_measured_again_alone(monkeypatch):
-    before = {design: code_version(design) for design in DESIGNS}, photo_version(), motion_version("parametric")
+    before = {design: code_version(design) for design in DESIGNS}, photo_version("pnp"), motion_version("parametric")
     real = Path.read_bytes
     monkeypatch.setattr(Path, "read_bytes", lambda self: b"new" if self.suffix == ".safetensors" else real(self))
-    after = {design: code_version(design) for design in DESIGNS}, photo_version(), motion_version("parametric")
+    after = {design: code_version(design) for design in DESIGNS}, photo_version("pnp"), motion_version("parametric")
     assert before[0] == after[0]  # no code is chosen by a network
     assert before[1] != after[1]  # the denoiser's, with which a protocol may restore
     assert before[2] != after[2]
