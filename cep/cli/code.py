@@ -12,6 +12,7 @@ from cep.cli.options import (
     CameraFile,
     ChipNs,
     CodeSource,
+    Figures,
     Force,
     Json,
     Linear,
@@ -55,6 +56,7 @@ def audit(
     camera: CameraFile = None,
     photons: Photons = None,
     read_noise: ReadNoise = None,
+    figure: Figures = None,
     output: Annotated[Path | None, output_option("Also write the result as JSON.")] = None,
     force: Force = False,
     seed: Seed = 0,
@@ -64,25 +66,30 @@ def audit(
 
     Without a motion the figures are those of a straight one of 1 px a chip. A code.json's certificate is checked by a
     second, separate program: verified says whether it holds and why, null where there is none. Noise gains above 100
-    dB, those of codes with a zero, are null in JSON.
+    dB, those of codes with a zero, are null in JSON. figures has those of --figure: a number, or [forward, backward]
+    where the direction is unknown.
 
     Example: cep audit 1010000111000001010000110011110111010111001001100111
 
     Example: cep audit code.json --trajectory trajectory.json --json
+
+    Example: cep audit code.json --linear 40 --figure mymodule:my_figure
     """
     from cep.codes.sources import find_code
     from cep.io.files import json_text
     from cep.io.outputs import claim, write_text
     from cep.proofs.audit import audit as audited
+    from cep.proofs.measure import find_figures
     from cep.proofs.verify.certificates import verify
 
     stored = find_code(code, chip_ns=chip_ns)
     noise = load_camera(camera, photons=photons, read_noise=read_noise)
     stated = trajectory is not None or linear is not None
     motion = load_motion(trajectory, linear).trajectory if stated else None
+    own = find_figures(figure or ())
     claim([output] if output else [], force=force)
     with progress("auditing") as tick:
-        found = audited(stored.code, motion, camera=noise, flips=flips, progress=tick)
+        found = audited(stored.code, motion, camera=noise, flips=flips, figures=own, progress=tick)
     verdict = None
     if stored.certificate:
         path = None if motion is None else (motion.t.tolist(), motion.xy.tolist())
@@ -102,12 +109,15 @@ def audit(
 
 def _show(console: Console, found: Audit, verdict: Verdict | None, *, stated: bool) -> None:
     """Print an audit for people."""
+    from cep.proofs.measure import figure_head, figure_in_words
+
     shutter, motion, minimum, straight = found.code, found.trajectory, found.certificate, found.along is None
     console.print(f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings: {shutter.bits}")
     console.print(
         f"motion: {motion.length_px:.1f} px, direction {motion.direction}" + ("" if stated else " (1 px a chip)")
     )
     rows = [(name, found.metrics.in_words(name)) for name in found.metrics.to_dict()]
+    rows += [(figure_head(*item), figure_in_words(item[1])) for item in found.figures.items()]
     console.print(table("", ("figure", "value"), rows))
     what, unit = ("|P|", "chips") if straight else ("|H|", "light-true")
     # as they are: an upper bound of 1e-13 is no proven zero
@@ -137,6 +147,7 @@ def mtf(
         list[str] | None,
         typer.Option("--code", metavar="CODE", help="Code to draw: bits, code.json or a name; may be repeated."),
     ] = None,
+    figure: Figures = None,
     output: Annotated[Path, output_option("Figure to write: .png, .pdf or .svg.")] = Path("mtf.png"),
     force: Force = False,
     seed: Seed = 0,
@@ -151,11 +162,12 @@ def mtf(
     from cep.optics.code import ShutterCode
     from cep.optics.path_limits import check_frame, check_resolved
     from cep.plots import check_figure_name, mtf_curve, mtf_figure, save
-    from cep.proofs.measure import measure_worst
+    from cep.proofs.measure import figure_head, figure_in_words, find_figures, measure_worst, own_figures
 
     check_figure_name(output)
     motion = load_motion(trajectory, linear).trajectory
     check_frame(motion)
+    own = find_figures(figure or ())
     shutters: dict[str, ShutterCode | None] = {"open shutter": None}
     for source in codes or []:
         label = code_label(source)
@@ -164,22 +176,26 @@ def mtf(
         shutters[label] = load_code(source)
         check_resolved(motion, load_code(source).chips)
     claim([output], force=force)
+    found = {label: own_figures(own, motion, shutter or ShutterCode("1")) for label, shutter in shutters.items()}
     with progress("drawing"):
         save(mtf_figure(motion, shutters), output)
     curves, rows = {}, []
     for label, shutter in shutters.items():
         freq_cy_px, values = mtf_curve(motion, shutter)
         metrics = measure_worst(motion, shutter or ShutterCode("1"))
-        rows.append((label, *(metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db"))))
+        words = (metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db"))
+        rows.append((label, *words, *map(figure_in_words, found[label].values())))
         curves[label] = {
             "bits": None if shutter is None else shutter.bits,
             "freq_cy_px": freq_cy_px,
             "mtf": values,
             **metrics.to_dict(),
+            **({"figures": found[label]} if own else {}),
         }
 
     def show(console: Console) -> None:
-        console.print(table(str(output), ("code", "min MTF", "noise gain, dB", "MSE, dB"), rows))
+        heads = (figure_head(*item) for item in found["open shutter"].items())
+        console.print(table(str(output), ("code", "min MTF", "noise gain, dB", "MSE, dB", *heads), rows))
 
     finish({"image": output, "curves": curves, "seed": seed}, as_json=as_json, show=show)
 

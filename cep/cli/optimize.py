@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -51,6 +51,7 @@ from cep.cli.jobs import (
 )
 from cep.cli.options import (
     CameraFile,
+    Figures,
     Force,
     Json,
     Linear,
@@ -132,6 +133,7 @@ def optimize(
         ),
     ] = None,
     effort: Effort = "quick",
+    figure: Figures = None,
     workers: Workers = None,
     dask: Dask = None,
     cache: Cache = None,
@@ -157,6 +159,8 @@ def optimize(
     - bound: what no code of so much light can exceed: min_chip for a uniform straight motion, else min_mtf. With
       --objective noise: the noise gain that none can fall below. null for other objectives.
     - gap: how far this code is from the bound, 0..1; in dB for the noise.
+    - figures, here and of each of baselines: those of --figure, a number, or [forward, backward] where the direction
+      is unknown.
     - noise_gain_db: null above 100 dB, as of codes with a zero.
     - stopped: steps (all moves made), time, proven, complete (no other code keeps the limits), or interrupted (Ctrl-C).
     - within_limits, of each of baselines: whether it keeps the limits; the search could not return the others.
@@ -176,6 +180,7 @@ def optimize(
 
         from cep.io.files import StoredCode, write_code
         from cep.io.outputs import claim
+        from cep.proofs.measure import figure_head, figure_in_words, find_figures
         from cep.search.exhaustive.exact import codes_to_count
         from cep.search.limits import RunLimits
         from cep.search.playable import unplayable
@@ -195,6 +200,9 @@ def optimize(
         )  # fmt: skip
         profile = None if device is None else load_profile(device)
         light = load_camera(camera, photons=photons, read_noise=read_noise)
+        own = find_figures(figure or ())
+        if own and frames > 1:
+            raise ValueError("--figure: not valid with --frames, whose exposures are judged together")
 
         def task(stored: StoredMotion, path: Path | None) -> Task:
             source = {"trajectory": None if path is None else str(path), "linear_px": linear, "device": device}
@@ -212,7 +220,7 @@ def optimize(
             raise ValueError("--each: takes the place of --trajectory and --linear, and searches one frame for each")
     if each is not None:
         optimize_folder(
-            each, task, how, profile=profile, workers=workers, dask=dask, cache=cache, output=output,
+            each, task, how, figures=list(own), profile=profile, workers=workers, dask=dask, cache=cache, output=output,
             force=force, as_json=as_json,
         )  # fmt: skip
         return
@@ -236,7 +244,7 @@ def optimize(
     label = f"counting {codes_to_count(searched):.2g} codes" if method == "exact" else "searching"
     with progress(label) as tick:
         tick(0.0)
-        best = find(wanted.problem, **asdict(how), along=wanted.along, progress=tick, on_found=keep)
+        best = find(wanted.problem, **asdict(how), along=wanted.along, figures=own, progress=tick, on_found=keep)
         best.save(file, described=wanted.described)
     code, found, straight = best.code, best.found, best.along is None
     result = {"file": file, **best.to_dict(), "seed": seed, "warnings": list(best.warnings)}
@@ -247,13 +255,15 @@ def optimize(
         console.print(f"{file}: {code.bits}")
         light = f"{code.open_chips} of {chips} chips open, {code.pulses} openings"
         console.print(f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}")
-        columns = ("code", "open", "min |P|, chips" if straight else "min MTF", "noise gain, dB", "MSE, dB")
+        heads = (figure_head(*item) for item in best.comparison[0].figures.items())
+        columns = ("code", "open", "min |P|, chips" if straight else "min MTF", "noise gain, dB", "MSE, dB", *heads)
         lowest = "min_chip" if straight else "min_mtf"
         rows = [
             (
                 row.label,
                 row.code.open_chips,
                 *(row.metrics.in_words(name) for name in (lowest, "noise_gain_db", "mse_db")),
+                *map(figure_in_words, row.figures.values()),
             )
             for row in best.comparison
         ]
@@ -289,6 +299,7 @@ def optimize_folder(
     task: Callable[[StoredMotion, Path], Task],
     how: Search,
     *,
+    figures: Sequence[str] = (),
     profile: DeviceProfile | None,
     workers: int | None,
     dask: str | None,
@@ -306,6 +317,8 @@ def optimize_folder(
     task : callable
         Makes the search along a motion from a file.
     how : Search
+    figures : sequence of str
+        Figures of merit of the user's own, each ``module:name``.
     profile : DeviceProfile, optional
         That must be able to play every code.
     workers, dask, cache, output, force, as_json
@@ -327,16 +340,18 @@ def optimize_folder(
 
         motions = motions_in(folder)
         tasks, failures = _tasks(folder, motions, task)  # first: it tells what is wrong with the options
+        columns = {**_COLUMNS, **{name: name for name in figures}}
         target = output or folder
         claim_folder(target, [_SUMMARY], force=force)
         for name in motions:
             claim_folder(target / name, [_CODE], force=force)
-        version = source_version(["cep.workflows.optimize"])
+        version = source_version(["cep.workflows.optimize", *(name.partition(":")[0] for name in figures)])
+        own = {"figures": list(figures)} if figures else {}
         cells = [
             Cell(
                 (name,),
                 optimize_motion,
-                {"problem": one.problem, "along": one.along, "how": how},
+                {"problem": one.problem, "along": one.along, "how": how, **own},
                 version,
             )
             for name, one in tasks.items()
@@ -366,12 +381,13 @@ def optimize_folder(
             {"motion": name, **codes.get(name, {}), "failure": failures.get(name, "" if name in codes else NOT_REACHED)}
             for name in motions
         ]
+        rows = [{**row, **_own(row.get("figures", {}))} for row in rows]
         spelt = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
         target.mkdir(parents=True, exist_ok=True)  # nothing is in it where every motion failed
-        write_text(target / _SUMMARY, summary_csv((*_COLUMNS, *_MORE), spelt))
+        write_text(target / _SUMMARY, summary_csv((*columns, *_MORE), spelt))
     finish_folder(
         {"folder": target, "summary": target / _SUMMARY, "codes": codes, "seed": how.seed},
-        _COLUMNS,
+        columns,
         rows,
         title="a code for each motion (worse direction where unknown)",
         noun="motions",
@@ -379,6 +395,14 @@ def optimize_folder(
         warnings=[*outcome.warnings, *(f"{name}: {line}" for name, one in codes.items() for line in one["warnings"])],
         as_json=as_json,
     )
+
+
+def _own(figures: Mapping[str, Any]) -> dict[str, float | str | None]:
+    """Lay out figures of the user's own, as JSON has them, for a line of the table: forward / backward."""
+    return {
+        name: " / ".join("-" if one is None else f"{one:.6g}" for one in value) if isinstance(value, list) else value
+        for name, value in figures.items()
+    }
 
 
 def _tasks(

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from motdiff.io.trajectories import StoredMotion
 
 __all__ = [
-    "CAMERA", "COMMON", "MOTION", "CameraFile", "ChipNs", "CodeSource", "Force", "Gamma", "Json", "Linear", "Photons",
-    "ReadNoise", "Seed", "TrajectoryFile", "code_figures", "load_camera", "load_motion", "output_option",
+    "CAMERA", "COMMON", "MOTION", "CameraFile", "ChipNs", "CodeSource", "Figures", "Force", "Gamma", "Json", "Linear",
+    "Photons", "ReadNoise", "Seed", "TrajectoryFile", "code_figures", "load_camera", "load_motion", "output_option",
 ]  # fmt: skip
 
 COMMON, MOTION, CAMERA = "Common options", "Motion", "Camera"
@@ -56,6 +56,14 @@ CameraFile = Annotated[
     Path | None,
     typer.Option("--camera", metavar="FILE", help="A .json or .toml with its figures.", rich_help_panel=CAMERA),
 ]
+Figures = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--figure", metavar="MODULE:NAME",
+        help="Also a figure of merit of your own: a function of (trajectory, code) that returns a number; may be "
+        "repeated.",
+    ),
+]  # fmt: skip
 Photons = Annotated[
     float | None,
     typer.Option("--photons", metavar="N", help="Photo-electrons at full scale.", rich_help_panel=CAMERA),

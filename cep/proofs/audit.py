@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from cep.optics.path_limits import check_frame, check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.proofs.certify.zeros import Zeros, zeros_along, zeros_of_code
-from cep.proofs.measure import CodeMetrics, measure_worst
+from cep.proofs.measure import CodeMetrics, FigureOfMerit, OwnFigure, measure_worst, own_figures
 from motdiff.trajectory import Trajectory
 
 __all__ = [
@@ -104,6 +104,8 @@ class Audit:
         Better codes few flips away, best first for each number of flips.
     flips : int
         Most chips changed in looking for them.
+    figures : mapping from a name to a number, or to those of both directions
+        Figures of merit of the user's own.
     """
 
     code: ShutterCode
@@ -115,6 +117,7 @@ class Audit:
     grids: tuple[GridClaim, ...]
     neighbours: tuple[Neighbour, ...]
     flips: int
+    figures: Mapping[str, OwnFigure] = field(default_factory=dict)
 
     @property
     def null(self) -> bool:
@@ -129,6 +132,7 @@ class Audit:
             "open": self.code.open_chips,
             "duty": self.code.duty,
             **self.metrics.to_dict(),
+            **({"figures": dict(self.figures)} if self.figures else {}),
             "motion": {"length_px": self.trajectory.length_px, "direction": self.trajectory.direction},
             # the path is the one that was asked for
             "certificate": {name: value for name, value in self.certificate.to_dict().items() if name != "trajectory"},
@@ -151,6 +155,7 @@ def audit(
     *,
     camera: Camera | None = None,
     flips: int | None = None,
+    figures: Mapping[str, FigureOfMerit] | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> Audit:
     """Measure a code, prove its minimum, list its zeros and the grids that hide them, and look for better neighbours.
@@ -164,13 +169,15 @@ def audit(
         For the expected error; ``Camera()`` when omitted.
     flips : int, optional
         Look for better codes up to so many flips away, 0..3; 3 when omitted, of more than 256 chips 2.
+    figures : mapping from a name to a function, optional
+        Figures of merit of the user's own, see :func:`cep.proofs.measure.own_figures`.
     progress : callable, optional
         Called with the finished share, 0..1, and what comes next.
 
     Raises
     ------
     ValueError
-        If the path cannot be measured, or is too short for so many chips.
+        If the path cannot be measured, or is too short for so many chips; or a figure of the user's own fails.
 
     Examples
     --------
@@ -186,6 +193,7 @@ def audit(
     check_resolved(motion, code.chips)
     far = flips if flips is not None else 3 if code.chips <= _LONG_CHIPS else 2
     progress(0.0, "measuring")
+    own = own_figures(figures or {}, motion, code)
     metrics = measure_worst(motion, code, camera=camera)
     along = None if metrics.min_chip is not None else motion
     progress(0.1, "proving the minimum")
@@ -195,7 +203,7 @@ def audit(
     progress(0.5, "looking at neighbours")
     neighbours = better_neighbours(code, along, flips=far)
     progress(1.0, "")
-    return Audit(code, motion, along, metrics, certificate, zeros, grids, neighbours, far)
+    return Audit(code, motion, along, metrics, certificate, zeros, grids, neighbours, far, own)
 
 
 def null_threshold(code: ShutterCode, trajectory: Trajectory | None) -> float:

@@ -1,13 +1,15 @@
-"""Figures of a code along a trajectory: its smallest MTF with a proven bound, flatness, noise gain, Wiener error."""
+"""Figures of a code along a trajectory: smallest MTF with a proven bound, noise gain, Wiener error; and one's own."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cep.io.formatting import number
 from cep.optics.band import band_samples, uniform_length_px
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
@@ -15,9 +17,22 @@ from cep.optics.exposure import open_path
 from cep.optics.mtf import HOPELESS_DB, noise_variance, wiener_mse
 from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
+from motdiff.io.inputs import one_line
+from motdiff.io.plugins import load_object
 from motdiff.trajectory import Trajectory
 
-__all__ = ["CodeMetrics", "measure", "measure_worst", "worst_of"]
+__all__ = [
+    "CodeMetrics",
+    "FigureOfMerit",
+    "OwnFigure",
+    "figure_head",
+    "figure_in_words",
+    "find_figures",
+    "measure",
+    "measure_worst",
+    "own_figures",
+    "worst_of",
+]
 
 _ZERO = 1e-12  # |H| below this is rounding
 
@@ -148,3 +163,76 @@ def measure_worst(trajectory: Trajectory, code: ShutterCode, *, camera: Camera |
     if mirror_image or code.bits == code.bits[::-1]:
         return forward
     return worst_of(forward, measure(trajectory.reversed(), code, camera=camera))
+
+
+FigureOfMerit = Callable[[Trajectory, ShutterCode], float]
+"""A figure of merit of the user's own, along a trajectory taken as given."""
+
+OwnFigure = float | tuple[float, float]
+"""What it comes to: one number, or those of both directions, forward and backward, where the direction is unknown."""
+
+
+def find_figures(references: Iterable[str]) -> dict[str, FigureOfMerit]:
+    """Import figures of merit of the user's own, each ``module:name``; returns them by these names.
+
+    Raises
+    ------
+    ValueError
+        If there is no such object, or it is no function.
+    """
+    found = {reference: load_object(reference) for reference in references}
+    for reference, figure in found.items():
+        if not callable(figure):
+            raise ValueError(f"figure {reference}: is no function of a trajectory and a code")
+    return found
+
+
+def own_figures(
+    figures: Mapping[str, FigureOfMerit], trajectory: Trajectory, code: ShutterCode
+) -> dict[str, OwnFigure]:
+    """Evaluate figures of merit of the user's own; both directions where it is unknown, as none is known to be worse.
+
+    Parameters
+    ----------
+    figures : mapping from a name to a function
+        It takes (trajectory, code), the trajectory with a known direction, and returns a number.
+    trajectory : Trajectory
+    code : ShutterCode
+
+    Raises
+    ------
+    ValueError
+        If a function fails or returns no number; the line names it.
+
+    Examples
+    --------
+    >>> path = Trajectory.straight(4.0, direction="known")
+    >>> own_figures({"light": lambda path, code: code.duty}, path, ShutterCode("10"))
+    {'light': 0.5}
+    """
+    paths = [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
+    found: dict[str, OwnFigure] = {}
+    for name, figure in figures.items():
+        values = [_number(name, figure, replace(path, direction="known"), code) for path in paths]
+        found[name] = values[0] if len(values) == 1 else (values[0], values[1])
+    return found
+
+
+def _number(name: str, figure: FigureOfMerit, path: Trajectory, code: ShutterCode) -> float:
+    try:
+        value = np.asarray(figure(path, code))
+    except Exception as error:  # whatever the user's function raises
+        raise ValueError(f"figure {name}: failed ({type(error).__name__}: {one_line(error)})") from None
+    if value.shape or value.dtype.kind not in "iuf" or np.isnan(value):
+        raise ValueError(f"figure {name}: must return a number, got {one_line(value.tolist())[:40]}")
+    return float(value)
+
+
+def figure_head(name: str, value: OwnFigure) -> str:
+    """Head of a figure of the user's own in a table."""
+    return f"{name}, forward / backward" if isinstance(value, tuple) else name
+
+
+def figure_in_words(value: OwnFigure) -> float | str:
+    """Figure of the user's own for a table."""
+    return " / ".join(map(number, value)) if isinstance(value, tuple) else value

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cep.optics.code import ShutterCode
-from cep.proofs.measure import CodeMetrics
+from cep.proofs.measure import (
+    CodeMetrics,
+    FigureOfMerit,
+    OwnFigure,
+    figure_head,
+    figure_in_words,
+    own_figures,
+)
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Baseline
 from cep.search.recipe import baselines as find_baselines
+from motdiff.trajectory import Trajectory
 
-__all__ = ["BaselineRow", "Comparison", "compare", "expected_psnr_db"]
+__all__ = ["BaselineRow", "Comparison", "as_designed", "compare", "expected_psnr_db"]
 
 
 def expected_psnr_db(
@@ -56,6 +65,8 @@ class BaselineRow:
         Whether the code keeps the problem's limits: others could not be returned, however good they are.
     stopped_early : bool
         Whether the time limit or Ctrl-C ended the search of this code: another run may give another.
+    figures : mapping from a name to a number, or to those of both directions
+        Figures of merit of the user's own.
     """
 
     name: str
@@ -63,6 +74,11 @@ class BaselineRow:
     metrics: CodeMetrics
     within_limits: bool
     stopped_early: bool = False
+    figures: Mapping[str, OwnFigure] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Figures for JSON: the metrics, and the user's own as ``figures`` where there are any."""
+        return self.metrics.to_dict() | ({"figures": dict(self.figures)} if self.figures else {})
 
     @property
     def label(self) -> str:
@@ -76,7 +92,8 @@ class Comparison(tuple[BaselineRow, ...]):
     __slots__ = ()
 
     def __repr__(self) -> str:
-        cells = [("", "open", "min MTF", "noise gain, dB", "MSE, dB"), *map(_cells, self)]
+        own = tuple(figure_head(*item) for row in self[:1] for item in row.figures.items())
+        cells = [("", "open", "min MTF", "noise gain, dB", "MSE, dB", *own), *map(_cells, self)]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         return "\n".join(
             "  ".join([row[0].ljust(widths[0]), *(text.rjust(n) for text, n in zip(row[1:], widths[1:], strict=True))])
@@ -90,6 +107,8 @@ def compare(
     *,
     baselines: Iterable[Baseline] | None = None,
     seed: int = 0,
+    figures: Mapping[str, FigureOfMerit] | None = None,
+    along: Trajectory | None = None,
 ) -> Comparison:
     """Measure a code, and what would be used instead of it, on the same motions.
 
@@ -101,6 +120,15 @@ def compare(
         As the code's search returned them; :func:`cep.search.recipe.baselines` of the problem when omitted.
     seed : int
         Of the baselines that are searched or drawn here.
+    figures : mapping from a name to a function, optional
+        Figures of merit of the user's own, see :func:`cep.proofs.measure.own_figures`.
+    along : Trajectory, optional
+        What these are taken along; the first scenario's path when omitted, on the unit circle ``chips`` px straight.
+
+    Raises
+    ------
+    ValueError
+        If the code has another number of chips, or a figure of the user's own fails.
 
     Examples
     --------
@@ -112,24 +140,34 @@ def compare(
     ['this code', 'open shutter', 'best snapshot', 'best strobe']
     """
     others = find_baselines(problem, rng=np.random.default_rng(seed)) if baselines is None else baselines
-    own = BaselineRow("this code", code, problem.measure(code), problem.allows(code))
-    return Comparison(
-        (
-            own,
-            *(
-                BaselineRow(
-                    one.name,
-                    ShutterCode(one.code.bits, code.chip_ns),
-                    problem.measure(one.code, budget=0),
-                    one.within_limits,
-                    one.stopped_early,
-                )
-                for one in others
-            ),
-        )
+    first = problem.scenarios[0].trajectory if problem.scenarios else Trajectory.straight(float(problem.chips))
+    path = as_designed(along or first, problem.direction)
+    rows = (
+        BaselineRow("this code", code, problem.measure(code), problem.allows(code)),
+        *(
+            BaselineRow(
+                one.name,
+                ShutterCode(one.code.bits, code.chip_ns),
+                problem.measure(one.code, budget=0),
+                one.within_limits,
+                one.stopped_early,
+            )
+            for one in others
+        ),
     )
+    return Comparison(replace(row, figures=own_figures(figures or {}, path, row.code)) for row in rows)
+
+
+def as_designed(motion: Trajectory, direction: str) -> Trajectory:
+    """Return a motion with the direction that a problem counts: "auto" is the motion's own."""
+    if direction == "auto":
+        return motion
+    return replace(motion, direction="known" if direction == "forward" else "unknown")
 
 
 def _cells(row: BaselineRow) -> tuple[str, ...]:
-    figures = (row.metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db"))
+    figures: tuple[float | str | None, ...] = (
+        *(row.metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db")),
+        *map(figure_in_words, row.figures.values()),
+    )
     return (row.label, str(row.code.open_chips), *(f"{x:.4g}" if isinstance(x, float) else str(x) for x in figures))

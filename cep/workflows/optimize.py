@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,10 +15,10 @@ from cep.io.files import StoredCode, plain, write_code
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
-from cep.proofs.measure import CodeMetrics
+from cep.proofs.measure import CodeMetrics, FigureOfMerit, find_figures, own_figures
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Found, baselines_so_far, best_of, judge_of, mean_length_px, search_code
-from cep.workflows.compare import Comparison, compare
+from cep.workflows.compare import Comparison, as_designed, compare
 from motdiff.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ class Optimum:
             "open": code.open_chips,
             "duty": code.duty,
             "chip_ns": code.chip_ns,
-            **self.metrics.to_dict(),
+            **self.comparison[0].to_dict(),
             "objective": found.objective,
             "proven": found.stopped == "proven",
             "certificate": self.certificate.to_dict(),
@@ -180,7 +180,7 @@ class Optimum:
                     "within_limits": row.within_limits,
                     "stopped_early": row.stopped_early,
                 }
-                | row.metrics.to_dict()
+                | row.to_dict()
                 for row in self.comparison[1:]
             },
         }
@@ -222,6 +222,7 @@ def optimize(
     effort: Literal["quick", "sdp"] = "quick",
     seed: int = 0,
     along: Trajectory | None = None,
+    figures: Mapping[str, FigureOfMerit] | None = None,
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
     on_found: Callable[[ShutterCode, Found], None] = lambda _code, _found: None,
@@ -238,6 +239,9 @@ def optimize(
     along : Trajectory, optional
         What the certificate is for; the first scenario's path when omitted. Where the code's polynomial alone decides,
         it is for the unit circle.
+    figures : mapping from a name to a function, optional
+        Figures of merit of the user's own for the comparison, taken along the same motion; see
+        :func:`cep.proofs.measure.own_figures`. The search knows nothing of them.
     threads : int, optional
         As many as there are cores when omitted; the code does not depend on it.
     progress : callable, optional
@@ -249,7 +253,7 @@ def optimize(
     ------
     ValueError
         If the problem has no motion, its paths cannot be measured or are too short for so many chips, or the method
-        does not solve it.
+        does not solve it; or a figure of the user's own fails.
 
     Examples
     --------
@@ -264,6 +268,8 @@ def optimize(
     motion = along or problem.scenarios[0].trajectory
     check_frame(motion)
     check_resolved(motion, problem.chips)
+    designed = as_designed(motion, problem.direction)
+    own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))  # one that fails does so before the search
     found = search(
         searched_problem(problem),
         how,
@@ -274,8 +280,8 @@ def optimize(
     code = replace(found.code, chip_ns=problem.chip_ns)
     on_found(code, found)
     progress(_SEARCH_SHARE, "comparing with other codes")
-    comparison = compare(problem, code, baselines=found.baselines)
-    path = None if problem.on_circle else _as_designed(motion, problem.direction)
+    comparison = compare(problem, code, baselines=found.baselines, figures=figures, along=motion)
+    path = None if problem.on_circle else designed
     certificate = certify(code, path)
     bounded = _bounded(problem, comparison[0].metrics, straight=path is None, effort=effort)
     progress(1.0, "")
@@ -380,7 +386,9 @@ def _proven(
     )  # fmt: skip
 
 
-def optimize_motion(*, problem: SearchProblem, along: Trajectory, how: Search) -> dict[str, str]:
+def optimize_motion(
+    *, problem: SearchProblem, along: Trajectory, how: Search, figures: Sequence[str] = ()
+) -> dict[str, str]:
     """Search a code with :func:`optimize` on one thread: the work of a cell, see :mod:`cep.jobs.engine`.
 
     Parameters
@@ -388,6 +396,8 @@ def optimize_motion(*, problem: SearchProblem, along: Trajectory, how: Search) -
     problem : SearchProblem
     along : Trajectory
     how : Search
+    figures : sequence of str
+        Figures of merit of the user's own, each ``module:name``.
 
     Returns
     -------
@@ -404,7 +414,8 @@ def optimize_motion(*, problem: SearchProblem, along: Trajectory, how: Search) -
         if found.stopped == "interrupted":
             raise KeyboardInterrupt
 
-    best = optimize(problem, **asdict(how), along=along, threads=1, on_found=whole)
+    own = find_figures(figures)
+    best = optimize(problem, **asdict(how), along=along, figures=own, threads=1, on_found=whole)
     parts = {"report": {**best.to_dict(), "warnings": best.warnings}, "file": best.stored({})}
     return {name: json.dumps(plain(part), allow_nan=False) for name, part in parts.items()}
 
@@ -421,13 +432,6 @@ def code_from_figures(figures: Mapping[str, Figure], described: Mapping[str, Any
     report, file = (json.loads(str(figures[part])) for part in ("report", "file"))
     code = ShutterCode(report["bits"], report["chip_ns"])
     return report, StoredCode(code, file["metrics"], {**described, **file["problem"]}, file["certificate"])
-
-
-def _as_designed(motion: Trajectory, direction: str) -> Trajectory:
-    """Return the motion with the direction that the search counted."""
-    return (
-        motion if direction == "auto" else replace(motion, direction="known" if direction == "forward" else "unknown")
-    )
 
 
 def _summary(problem: SearchProblem, how: Search) -> dict[str, Any]:

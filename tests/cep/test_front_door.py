@@ -1,10 +1,12 @@
 """``import cep``: its names, how they are loaded, and objects of the user's own."""
 
 import ast
+import csv
 import inspect
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,21 @@ number = 7
 
 def make():
     return [1, 0, 1, 1]
+
+def late(trajectory, code):  # forward and backward differ
+    return code.array @ range(code.chips) + trajectory.xy[0, 0]
+
+def light(trajectory, code):
+    return np.float32(code.duty)
+
+def broken(trajectory, code):
+    raise RuntimeError("out\\nof order")
+
+def wordy(trajectory, code):
+    return "much"
+
+def undefined(trajectory, code):
+    return float("nan")
 
 def as_it_is(photo, psf):
     return photo / psf.sum()
@@ -113,6 +130,34 @@ def test_a_restoration_of_ones_own(plugin):
         package.restore(photo, trajectory=path, method=f"{plugin}:number")
 
 
+def test_a_figure_of_ones_own():
+    path = package.Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])
+    code = package.ShutterCode("11100101")
+    figures = {"start": lambda trajectory, _code: trajectory.xy[0, 0], "open": lambda _path, code: code.open_chips}
+    for motion, direction in ((path, "auto"), (replace(path, direction="known"), "unknown")):
+        problem = package.SearchProblem.along(motion, chips=8, objective="mse", direction=direction)
+        first, second, *_ = rows = package.compare(problem, code, figures=figures)
+        start, opened = first.figures["start"], first.figures["open"]
+        assert start == (motion.xy[0, 0], motion.xy[-1, 0])
+        assert start[0] != start[1]  # no one number: nothing says which of the directions is the worse
+        assert (opened, second.figures["open"]) == ((5.0, 5.0), (8.0, 8.0))
+        assert "start, forward / backward" in repr(rows)
+    known = replace(path, direction="known")
+    assert package.audit(code, known, flips=0, figures=figures).figures == {"start": known.xy[0, 0], "open": 5.0}
+    forward = package.SearchProblem.along(path, chips=8, objective="mse", direction="forward")
+    best = package.optimize(forward, steps=200, figures=figures)
+    assert [row.figures["open"] for row in best.comparison] == [row.code.open_chips for row in best.comparison]
+    assert "figures" not in package.optimize(forward, steps=200).to_dict()
+
+
+def test_a_figure_that_fails_is_named_before_the_search(monkeypatch):
+    monkeypatch.setattr("cep.workflows.optimize.search", lambda *_args, **_options: pytest.fail("it was searched"))
+    problem = package.SearchProblem.along(package.Trajectory.straight(9.0), chips=8)
+    for figure in (lambda _path, _code: 1 / 0, lambda _path, _code: None, lambda _path, _code: True):
+        with pytest.raises(ValueError, match=r"^figure mine: "):
+            package.optimize(problem, figures={"mine": figure})
+
+
 def test_an_estimator_of_ones_own(plugin, tmp_path):
     photo = np.random.default_rng(0).random((40, 50))
     found = package.estimate_motion(photo, method=f"{plugin}:Straight")
@@ -149,6 +194,36 @@ def test_commands_take_them(cep, workplace, plugin):
         shutil.copy("blurred.png", f"shots/{name}")
     folder = cep.succeeds("calibrate", "shots", *own, "-o", "motions", "--workers", "2")
     assert [one["length_px"] for one in folder["photos"].values()] == pytest.approx([7.0, 7.0])
+
+
+def test_commands_take_figures(cep, workplace, plugin):
+    Path(workplace / f"{plugin}.py").write_text(PLUGIN)
+    late, light = f"{plugin}:late", f"{plugin}:light"
+    own = ("--trajectory", "trajectory.json", "--figure", late, "--figure", light)
+    audited = cep.succeeds("audit", "1101000101101111", *own)["figures"]
+    assert set(audited) == {late, light}
+    assert audited[light] == [10 / 16, 10 / 16]
+    assert audited[late][0] != audited[late][1]
+    curves = cep.succeeds("mtf", "--code", "1101000101101111", *own)["curves"]
+    assert curves["open shutter"]["figures"][light] == [1.0, 1.0]
+    assert curves["1101000101101111"]["figures"] == audited
+    search = ("optimize", "--chips", "8", "--steps", "200")
+    best = cep.succeeds(*search, *own, "--direction", "forward", "-o", "new.json")
+    assert best["figures"][light] == best["duty"]
+    assert best["baselines"]["open shutter"]["figures"][light] == 1.0
+    assert "forward / backward" in cep("audit", "1011", *own).out
+    Path("motions/one").mkdir(parents=True)
+    shutil.copy("trajectory.json", "motions/one")
+    found = cep.succeeds(*search, "--each", "motions", "--figure", light, "-o", "codes")["codes"]["one"]
+    assert found["figures"] == {light: [found["duty"]] * 2}
+    (line,) = csv.DictReader(Path("codes/codes.csv").read_text().splitlines())
+    assert line[light] == f"{found['duty']:.6g} / {found['duty']:.6g}"
+    for name in ("broken", "wordy", "undefined", "number", "missing"):
+        for command in (("audit", "1011"), ("mtf", "-o", "x.png"), (*search, "-o", "x.json")):
+            line = cep.refuses(*command, "--trajectory", "trajectory.json", "--figure", f"{plugin}:{name}")
+            assert f"{plugin}:{name}" in line
+    assert "--figure" in cep.refuses(*search, "--linear", "9", "--frames", "2", "--figure", light)
+    assert not list(Path().glob("x.*"))
 
 
 def test_a_module_that_fails_is_named_in_one_line(tmp_path, monkeypatch):
