@@ -281,7 +281,10 @@ def cep(
     protocol: Annotated[
         str,
         typer.Option(
-            "--protocol", metavar="NAME|FILE", help="paper, ours, or a .toml file like cep/bench/coded/ours.toml."
+            "--protocol",
+            metavar="NAME|FILE",
+            help="paper, ours, or a .toml file like cep/bench/coded/ours.toml, in "
+            "which the restoration may be module:name of a function (photo, psf) of your own.",
         ),
     ] = "paper",
     designs: Annotated[

@@ -78,23 +78,29 @@ def _file(name: str) -> Path | None:
         spec = find_spec(name)
     except ModuleNotFoundError:
         return None
-    return Path(spec.origin) if spec is not None and spec.origin is not None else None
+    return Path(spec.origin) if spec is not None and spec.has_location and spec.origin is not None else None
 
 
 @cache
-def _tree(name: str) -> ast.Module:
+def _tree(name: str) -> ast.Module | None:
+    """Return the syntax of a module; None of one that is compiled, as a user's may be."""
+    path = _source(name)
+    return ast.parse(path.read_text(encoding="utf-8")) if path.suffix == ".py" else None
+
+
+def _source(name: str) -> Path:
     path = _file(name)
     if path is None:
-        raise ValueError(f"module: there is no {name}")
-    return ast.parse(path.read_text(encoding="utf-8"))
+        raise ValueError(f"module: there is no {name}, or it has no file")
+    return path
 
 
 @cache
 def _imports(name: str) -> frozenset[str]:
     """Names of the project's modules that a module imports, also within functions."""
-    return frozenset(
-        found for found in _imported(_tree(name)) if found.split(".")[0] in _OURS and _file(found) is not None
-    )
+    tree = _tree(name)
+    named = () if tree is None else _imported(tree)
+    return frozenset(found for found in named if found.split(".")[0] in _OURS and _file(found) is not None)
 
 
 def _imported(tree: ast.Module) -> Iterator[str]:
@@ -109,7 +115,9 @@ def _imported(tree: ast.Module) -> Iterator[str]:
 
 @cache
 def _meaning(name: str) -> str:
-    tree = ast.parse(ast.unparse(_tree(name)))
+    if (whole := _tree(name)) is None:
+        return hashlib.sha256(_source(name).read_bytes()).hexdigest()
+    tree = ast.parse(ast.unparse(whole))
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and ast.get_docstring(
             node, clean=False

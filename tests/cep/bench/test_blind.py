@@ -331,6 +331,14 @@ def test_a_version_changes_with_the_code_and_not_with_its_comments(tmp_path, mon
     forget()
 
 
+def test_a_compiled_module_counts_by_its_file():
+    """A user's own may be one."""
+    compiled = source_version(["numpy._core._multiarray_umath"])
+    assert compiled != source_version(["numpy._core"])
+    with pytest.raises(ValueError, match="there is no sys, or it has no file"):
+        source_version(["sys"])
+
+
 def test_every_method_has_a_version_of_its_own_code():
     versions = [version_of(method) for method in ("pmp", "motdiff", "delta")]
     assert len(set(versions)) == 3
