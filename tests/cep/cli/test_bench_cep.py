@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep.bench.coded import designs
 from cep.bench.coded.designs import DESIGNS
 from cep.cli.console import FAILURE, INTERRUPTED
 from cep.io.files import StoredCode, write_code
 from cep.io.images import read_image, write_image
 from cep.optics.code import ShutterCode
+from cep.search import recipe
 
 TINY = """\
 name = "tiny"
@@ -102,7 +102,7 @@ def test_from_photos_to_every_output_and_found_again(cep, studio, monkeypatch):
 
 
 def test_stopped_in_a_search_it_goes_on_later(cep, studio, monkeypatch):
-    real, calls = designs.anneal, []
+    real, calls = recipe.anneal, []
 
     def stopping(problem, **options):
         def stop(_fraction, _best):
@@ -110,9 +110,9 @@ def test_stopped_in_a_search_it_goes_on_later(cep, studio, monkeypatch):
                 raise KeyboardInterrupt
 
         calls.append(problem)
-        return real(problem, progress=stop, **options)
+        return real(problem, **options | {"progress": stop})
 
-    monkeypatch.setattr(designs, "anneal", stopping)
+    monkeypatch.setattr(recipe, "anneal", stopping)
     options = ("--designs", "oracle", "--quick", "-o", "out")
     one_light = TINY.replace("quick_photons = []", "quick_photons = [300.0]")
     Path("tiny.toml").write_text(one_light.replace("quick_motions = 1", "quick_motions = 2"))
@@ -130,7 +130,7 @@ def test_a_search_that_fails_is_told_beside_the_others(cep, studio, monkeypatch)
     def fails(*_arguments, **_options):
         raise ValueError("problem: too hard")
 
-    monkeypatch.setattr(designs, "anneal", fails)
+    monkeypatch.setattr(recipe, "anneal", fails)
     cep(*CEP, "--designs", "open,oracle", "--quick", "-o", "out", "--json")
     assert cep.code == FAILURE
     assert set(cep.json["failures"].values()) == {"problem: too hard"}
