@@ -26,6 +26,7 @@
 
 # %%
 import numpy as np
+from IPython.display import display
 from skimage import data
 
 import cep
@@ -78,7 +79,7 @@ for name, code in {"open shutter": cep.ShutterCode("1"), "coded": result.code}.i
     photo = cep.capture(scene, truth, code, camera, rng=rng)
     sharp = cep.restore(photo, trajectory=estimate.best, code=code, camera=camera)
     print(f"{name:12} {code.duty:4.0%} of the light, direction {sharp.direction}, residual {sharp.residual:.4f}")
-    display(sharp)  # noqa: F821
+    display(sharp)
 
 # %% [markdown]
 # Save what you need: `estimate.save("motion")`, `result.save("code.json")`, `sharp.save("sharp.png")`. The commands

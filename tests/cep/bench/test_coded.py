@@ -482,11 +482,13 @@ def test_a_tiny_table_and_its_cells_found_again(tmp_path, monkeypatch):
     assert [(shot.design, shot.motion) for shot in measured.shots] == [(name, i) for name in KNOWING for i in range(2)]
     assert measured.estimates == {}
     by_name = {(shot.design, shot.motion): shot for shot in measured.shots}
+    gains_db = []
     for motion in range(2):
         coded, plain = by_name["oracle", motion], by_name["open", motion]
-        assert coded.figures["psnr_db"] > plain.figures["psnr_db"]
+        gains_db.append(coded.figures["psnr_db"] - plain.figures["psnr_db"])
         # pairs: nothing but the code differs
         assert {**coded.arguments, "bits": ""} == {**plain.arguments, "bits": ""}
+    assert np.mean(gains_db) > 1  # not each: the objective is the noise alone, and one photo has more than noise
     assert not any(shot.arguments["light_true"] for shot in measured.shots)  # without light levels, light is no matter
     assert by_name["open", 0].arguments["seed"] != by_name["open", 1].arguments["seed"]
     monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
