@@ -1,14 +1,11 @@
-"""Blind estimation measured: Levin's real blurs, simulated shakes, and real photos without truth.
+"""Blind estimation: wall time of an estimate, and contact sheets of real photos without truth.
 
-    python benchmarks/blind.py [simulated [DIR]] [--gyro-trace FILE] [--count 24] [--sigma 0.01]
-    python benchmarks/blind.py levin DIR       # .mat files with x (sharp), y (blurred), f (kernel)
-    python benchmarks/blind.py photos DIR -o OUT   # contact sheet of what was found
-    OMP_NUM_THREADS=2 taskset -c 0,1 python benchmarks/blind.py seconds [DIR]   # wall time on two cores, 256 x 256 px
+    OMP_NUM_THREADS=2 taskset -c 0,1 python benchmarks/blind.py seconds [DIR]   # on two cores, 256 x 256 px
+    python benchmarks/blind.py photos DIR -o OUT   # contact sheet of the estimates
     ... --method motdiff                           # pmp when omitted
 
-Without a folder the sharp photos are scikit-image's own, and without a trace the hand shake is synthetic.
-
-Every figure comes from the estimator's own PSF (what ``cep calibrate`` writes).
+Without a folder the sharp photos are scikit-image's own, without a trace the hand shake is synthetic. What estimates
+are worth where the motion is known is measured by ``cep bench blind`` and ``python -m motdiff eval``.
 """
 
 from __future__ import annotations
@@ -28,10 +25,8 @@ from cep.restoration import restore
 from cep.workflows.calibrate import METHODS, make_estimator
 from motdiff.crops import CROP_PX
 from motdiff.estimators.base import Estimator, MotionEstimate
-from motdiff.evaluation.sets import levin as levin_cases
 from motdiff.gyro import GyroTrace
 from motdiff.io.gyro_tables import read_gyro
-from motdiff.metrics import mnc, mnc_subpixel, psnr_up_to_shift
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import photograph
@@ -47,29 +42,6 @@ def estimated(estimator: Estimator, photo: FloatArray) -> tuple[MotionEstimate, 
     start = time.process_time()
     estimate = estimator.estimate(photo)
     return estimate, time.process_time() - start
-
-
-def levin(folder: Path, estimator: Estimator) -> None:
-    rows = []
-    print("image            MNC int  sub-pixel  path MNC  conf   TV dB   CPU s   published: MNC   TV dB")
-    for case in levin_cases(folder):
-        truth, blurred = case.psf, case.photo
-        estimate, seconds = estimated(estimator, blurred)
-        published = folder / "pmp_kernels" / f"tvmpr_{case.name}_kernel.png"
-        figures = [mnc(estimate.psf, truth), mnc_subpixel(estimate.psf, truth)]
-        figures += [mnc_subpixel(estimate.trajectories[0].psf(), truth), estimate.confidence]
-        figures += [restored_db(blurred, estimate.psf, case.sharp), seconds]
-        if published.exists():
-            kernel = cv2.imread(str(published), cv2.IMREAD_GRAYSCALE).astype(float)
-            kernel /= kernel.sum()
-            figures += [mnc_subpixel(kernel, truth), restored_db(blurred, kernel, case.sharp)]
-        rows.append(figures)
-        print(f"{case.name:16s}", "  ".join(f"{figure:7.3f}" for figure in figures), flush=True)
-    print(f"{'mean':16s}", "  ".join(f"{figure:7.3f}" for figure in np.mean(rows, axis=0)))
-
-
-def restored_db(blurred: FloatArray, psf: FloatArray, sharp: FloatArray) -> float:
-    return psnr_up_to_shift(restore(blurred, psf, method="tv").image, sharp)
 
 
 def wall_times(
@@ -92,32 +64,6 @@ def trace_of(file: Path | None, seed: int) -> GyroTrace:
     if file is not None:
         return read_gyro(file)
     return smooth_trace(np.random.default_rng(seed), duration_s=60.0, rate_hz=200.0)
-
-
-def simulated(
-    folder: Path | None, trace_file: Path | None, count: int, sigma: float, seed: int, estimator: Estimator
-) -> None:
-    trace = trace_of(trace_file, seed)
-    rows: dict[str, list[list[float]]] = {}
-    for i, (kind, photo, psf) in enumerate(shaken(sharp_photos(folder), trace, count, sigma, seed)):
-        estimate, seconds = estimated(estimator, photo)
-        path_mnc = mnc_subpixel(estimate.trajectories[0].psf(estimate.trajectories[0].frame_size(PSF_PX)), psf)
-        rows.setdefault(kind, []).append(
-            [mnc(estimate.psf, psf), mnc_subpixel(estimate.psf, psf), path_mnc, estimate.confidence, seconds]
-        )
-        print(f"{i:3d} {kind:14s}", "  ".join(f"{figure:7.3f}" for figure in rows[kind][-1]), flush=True)
-    print("\nkind            MNC int  sub-pixel  path MNC  conf   CPU s   (mean; sd, min of sub-pixel)")
-    for kind, figures in rows.items():
-        table = np.array(figures)
-        means = "  ".join(f"{value:7.3f}" for value in table.mean(axis=0))
-        print(f"{kind:14s} {means}   sd {table[:, 1].std():.3f}  min {table[:, 1].min():.3f}  n {len(table)}")
-    merged = np.array([row for figures in rows.values() for row in figures])
-    for low, high in ((0, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 1.01)):
-        inside = merged[(merged[:, 3] >= low) & (merged[:, 3] < high)]
-        if len(inside):
-            good = float((inside[:, 1] >= 0.7).mean())
-            said = f"confidence {low:.2f}..{min(high, 1):.2f}: said {inside[:, 3].mean():.2f}"
-            print(f"{said}, good (sub-pixel MNC >= 0.7) {good:.2f} of {len(inside)}")
 
 
 def sharp_photos(folder: Path | None) -> list[FloatArray]:
@@ -178,24 +124,21 @@ def thumbnail(photo: FloatArray) -> FloatArray:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["simulated", "levin", "photos", "seconds"], nargs="?", default="simulated")
+    parser.add_argument("what", choices=["seconds", "photos"], nargs="?", default="seconds")
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--gyro-trace", type=Path)
-    parser.add_argument("--count", type=int, default=24)
+    parser.add_argument("--count", type=int, default=12)
     parser.add_argument("--sigma", type=float, default=0.01)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--gamma", default="srgb")
     parser.add_argument("--method", choices=METHODS[:2], default="pmp")
     parser.add_argument("-o", "--out", type=Path, default=Path("out/blind"))
     given = parser.parse_args()
-    if given.folder is None and given.what not in ("simulated", "seconds"):
+    if given.folder is None and given.what == "photos":
         parser.error(f"{given.what} needs a folder")
     estimator = make_estimator(given.method)
-    if given.what == "levin":
-        levin(given.folder, estimator)
-    elif given.what in ("simulated", "seconds"):
-        measure = simulated if given.what == "simulated" else wall_times
-        measure(given.folder, given.gyro_trace, given.count, given.sigma, given.seed, estimator)
+    if given.what == "seconds":
+        wall_times(given.folder, given.gyro_trace, given.count, given.sigma, given.seed, estimator)
     else:
         photos(given.folder, given.out, given.gamma, estimator)
 
