@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from cep.restoration.direction import detect_direction
     from cep.restoration.methods import restore
     from cep.search.bounding.bounds import bound
+    from cep.search.limits import RunLimits
     from cep.search.problem import SearchProblem
     from cep.workflows.calibrate import estimate_motion
     from cep.workflows.compare import compare
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Camera",
     "DeviceProfile",
+    "RunLimits",
     "SearchProblem",
     "ShutterCode",
     "Trajectory",
@@ -70,6 +72,7 @@ __all__ = [
 _MODULES = {
     "Camera": "cep.optics.camera",
     "DeviceProfile": "hw.device",
+    "RunLimits": "cep.search.limits",
     "SearchProblem": "cep.search.problem",
     "ShutterCode": "cep.optics.code",
     "Trajectory": "motdiff.trajectory",

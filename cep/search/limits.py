@@ -80,6 +80,13 @@ class RunLimits:
     ------
     ValueError
         If a number is not whole or below 1.
+
+    Examples
+    --------
+    A shutter that opens for two chips or more, four times at most:
+
+    >>> RunLimits(min_open=2, max_pulses=4).says_nothing
+    False
     """
 
     min_open: int = 1
