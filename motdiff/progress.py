@@ -1,4 +1,4 @@
-"""How much of a work is done, told as a share that only grows, whatever turns out to be left of it."""
+"""Progress as a share of planned work: it never falls, though the plan may change on the way."""
 
 from __future__ import annotations
 

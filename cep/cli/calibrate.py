@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -24,7 +24,8 @@ from cep.cli.jobs import (
 from cep.cli.options import Force, Gamma, Json, Seed, output_option
 
 if TYPE_CHECKING:
-    from cep.jobs.cells import Result
+    from cep.jobs.cells import Figure, Result
+    from motdiff.estimators.base import MotionEstimate
 
 __all__ = ["calibrate", "calibrate_folder"]
 
@@ -179,20 +180,7 @@ def calibrate(
         files = found.save(folder, source={"image": str(image), "seed": seed}, force=force)
         tick(1.0)
     motion = found.best
-    warnings = [*photo.warnings, *found.warnings]
-    result = {
-        "method": found.method,
-        "trajectory": files["trajectory.json"],
-        "psf": files["psf.npy"],
-        "length_px": motion.length_px,
-        "extent_px": motion.extent_px,
-        "direction": motion.direction,
-        "confidence": found.confidence,
-        "seconds": seconds,
-        "warnings": warnings,
-        "files": list(files.values()),
-        "details": found.details,
-    }
+    result = _described(found, files, seconds=seconds, warnings=[*photo.warnings, *found.warnings])
     finish(result, as_json=as_json, show=lambda console: console.print(
         f"{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, direction {motion.direction}; "
         f"confidence {found.confidence:.2f}; {found.method}, {seconds:.1f} s"
@@ -225,7 +213,7 @@ def calibrate_folder(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Estimate, write and print the motion in each photo, one by one; one that fails is told of, the others are kept.
+    """Estimate, write and print the motion in each photo, one by one; a failure is reported, the others are kept.
 
     Parameters
     ----------
@@ -348,7 +336,14 @@ def _written(photo: Path, result: Result, folder: Path, *, gamma: str, seed: int
     figures = result.finished.figures
     found, warnings = estimate_from_figures(figures)
     files = write_calibration(folder, found, pixels, source={"image": str(photo), "seed": seed}, force=force)
-    motion = found.trajectories[0]
+    return _described(found, files, seconds=figures["seconds"], warnings=warnings)
+
+
+def _described(
+    found: MotionEstimate, files: Mapping[str, Path], *, seconds: Figure, warnings: Sequence[str]
+) -> dict[str, Any]:
+    """Describe a calibration as the JSON of a photo and of a folder has it."""
+    motion = found.best
     return {
         "method": found.method,
         "trajectory": files["trajectory.json"],
@@ -357,7 +352,7 @@ def _written(photo: Path, result: Result, folder: Path, *, gamma: str, seed: int
         "extent_px": motion.extent_px,
         "direction": motion.direction,
         "confidence": found.confidence,
-        "seconds": figures["seconds"],
+        "seconds": seconds,
         "warnings": warnings,
         "files": list(files.values()),
         "details": found.details,

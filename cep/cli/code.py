@@ -177,8 +177,8 @@ def mtf(
         label = code_label(source)
         while label in shutters:
             label += "'"
-        shutters[label] = load_code(source)
-        check_resolved(motion, load_code(source).chips)
+        shutters[label] = one = load_code(source)
+        check_resolved(motion, one.chips)
     claim([output], force=force)
     found = {label: own_figures(own, motion, shutter or ShutterCode("1")) for label, shutter in shutters.items()}
     with progress("drawing"):

@@ -63,7 +63,7 @@ from cep.cli.options import (
     load_motion,
     output_option,
 )
-from cep.workflows.search_options import SearchOptions, Task, ending, search_of, task_of
+from cep.workflows.search_options import SearchOptions, Task, ending, task_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -184,11 +184,11 @@ def optimize(
         from cep.search.exhaustive.exact import codes_to_count
         from cep.search.limits import RunLimits
         from cep.search.playable import unplayable
+        from cep.workflows.optimize import Search, searched_problem, stored_search
         from cep.workflows.optimize import optimize as find
-        from cep.workflows.optimize import searched_problem, stored_search
         from hw.device import load_profile
 
-        how = search_of(method, effort, steps=steps, time_s=time_s, seed=seed)
+        how = Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)  # type: ignore[arg-type]
         wish = SearchOptions(
             chips=chips, chip_ns=chip_ns, open_chips=open_chips, duty=duty, objective=objective, direction=direction,
             runs=RunLimits(
@@ -308,7 +308,7 @@ def optimize_folder(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Search, write and print a code for each motion, one by one; one that fails is told of, the others are kept.
+    """Search, write and print a code for each motion, one by one; a failure is reported, the others are kept.
 
     Parameters
     ----------

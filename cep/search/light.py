@@ -1,6 +1,6 @@
 """Codes without a search over chips: the best snapshot, the best strobe, and random codes.
 
-They are judged by a problem's own objective. The random ones keep its limits, the others where they are told to.
+They are judged by a problem's own objective. Random codes keep its limits; the others keep them on request.
 """
 
 from __future__ import annotations

@@ -30,6 +30,7 @@ __all__ = [
     "Search",
     "certificate_warnings",
     "code_from_figures",
+    "described_search",
     "ended_early",
     "optimize",
     "optimize_motion",
@@ -66,7 +67,7 @@ class Search:
     Raises
     ------
     ValueError
-        If the time is not above 0, or moves or a time are given for a proof.
+        If the method or the effort is another, the time is not above 0, or moves or a time are given for a proof.
     """
 
     method: Literal["anneal", "exact"] = "anneal"
@@ -76,6 +77,10 @@ class Search:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        if self.method not in ("anneal", "exact"):
+            raise ValueError(f"method: must be anneal or exact, got {self.method!r}")
+        if self.effort not in ("quick", "sdp"):
+            raise ValueError(f"effort: must be quick or sdp, got {self.effort!r}")
         if self.time_s is not None and not self.time_s > 0:
             raise ValueError(f"time_s: must be above 0 seconds, got {self.time_s}")
         for name in ("steps", "time_s"):
@@ -193,7 +198,7 @@ class Optimum:
         described : mapping, optional
             What the file says of the problem; a summary of it when omitted.
         """
-        about = stored_search(described or _summary(self.problem, self.how), self.found)
+        about = stored_search(described or described_search(self.problem, self.how), self.found)
         return StoredCode(self.code, self.metrics.to_dict(), about, self.certificate.to_dict())
 
     def save(self, path: Path | str, *, described: Mapping[str, Any] | None = None) -> None:
@@ -434,7 +439,8 @@ def code_from_figures(figures: Mapping[str, Figure], described: Mapping[str, Any
     return report, StoredCode(code, file["metrics"], {**described, **file["problem"]}, file["certificate"])
 
 
-def _summary(problem: SearchProblem, how: Search) -> dict[str, Any]:
+def described_search(problem: SearchProblem, how: Search) -> dict[str, Any]:
+    """Describe a problem and how it is searched, as a code file does."""
     return {
         "chips": problem.chips,
         **asdict(problem.runs),

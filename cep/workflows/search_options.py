@@ -24,7 +24,6 @@ __all__ = [
     "ending",
     "open_limits",
     "problem_of",
-    "search_of",
     "task_of",
 ]
 
@@ -194,17 +193,6 @@ class Task:
     described: Mapping[str, Any]
 
 
-def search_of(method: str, effort: str, *, steps: int | None, time_s: float | None, seed: int) -> Search:
-    """Check the options that say how to search."""
-    from cep.workflows.optimize import Search
-
-    if method not in ("anneal", "exact"):
-        raise ValueError(f"--method: must be anneal or exact, got {method!r}")
-    if effort not in ("quick", "sdp"):
-        raise ValueError(f"--bound: must be quick or sdp, got {effort!r}")
-    return Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)  # type: ignore[arg-type]
-
-
 def task_of(
     wish: SearchOptions,
     stored: StoredMotion,
@@ -232,6 +220,7 @@ def task_of(
     import numpy as np
 
     from cep.optics.path_limits import check_frame, check_resolved
+    from cep.workflows.optimize import described_search
 
     motion = stored.trajectory
     for path in (motion, *(path for _, path in stored.alternatives if wish.alternatives)):
@@ -243,12 +232,7 @@ def task_of(
             name: value for name, value in asdict(wish).items() if name not in ("open_chips", "duty", "chip_ns", "runs")
         },
         **source,
-        **asdict(problem.runs),
-        "open_range": problem.open_limits,
-        "objective": problem.objective,
-        "camera": problem.camera.to_dict(),
-        "method": how.method,
-        "seed": how.seed,
+        **described_search(problem, how),
     }
     return Task(problem, motion, described)
 

@@ -84,3 +84,9 @@ def test_a_time_that_ends_the_search_is_told_with_its_moves():
     best = optimize(SearchProblem.along(BENT, chips=12), steps=10**12, time_s=0.01)
     assert best.found.stopped == "time"
     assert "the limit of 0.01 s ended the search before its 1,000,000,000,000 moves" in best.warnings[0]
+
+
+@pytest.mark.parametrize(("wrong", "message"), [({"method": "magic"}, "^method: "), ({"effort": "much"}, "^effort: ")])
+def test_an_unknown_method_is_refused_and_not_searched_by_another(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        optimize(SearchProblem.along(BENT, chips=12), steps=10, **wrong)
