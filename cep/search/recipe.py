@@ -1,4 +1,4 @@
-"""The one recipe of a search: codes that would be used anyway, annealing from those within the limits, the best of all.
+"""The one recipe of a search: codes that would be used anyway, annealing or a count of all codes, the best of all.
 
 What a code is compared with is computed first. The annealing starts from whatever of it keeps the problem's limits, and
 from the nearest code to each other one. The code returned is the best of what the search found and of what it is
@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,7 @@ from cep.codes.published import for_chips
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import Stopped, anneal
 from cep.search.dnf import dnf_search
+from cep.search.exhaustive.exact import codes_to_count, exact
 from cep.search.light import best_snapshot, best_strobe, random_codes
 from cep.search.limits import nearest
 from cep.search.objective import Objective
@@ -29,10 +31,8 @@ __all__ = [
     "Baseline",
     "Found",
     "baselines",
-    "baselines_so_far",
-    "best_of",
-    "judge_of",
     "mean_length_px",
+    "prove_code",
     "search_code",
 ]
 
@@ -133,11 +133,18 @@ def search_code(
     """
     began = time.monotonic()
     for_baselines, for_search = rng.spawn(2)
-    judge = judge_of(problem)
-    known, whole = baselines_so_far(
-        problem, judge, rng=for_baselines, length_px=length_px, time_s=time_s, threads=threads
-    )
-    if whole:
+    judge = Objective(problem, oversampling=_FINE, dtype=np.float64)
+    known: list[Baseline] = []
+    try:
+        for one in baselines(
+            problem, rng=for_baselines, judge=judge, length_px=length_px, time_s=time_s, threads=threads
+        ):
+            known.append(one)
+    except KeyboardInterrupt:
+        code = ShutterCode.from_array(problem.random_codes(1, rng=for_search)[0])
+        cost, moves = judge.exact_cost(code), 0
+        stopped: Stopped = "interrupted"
+    else:
         left_s = max(time_s - (time.monotonic() - began), _LEAST_SHARE * time_s)
         searched = anneal(
             problem,
@@ -150,11 +157,47 @@ def search_code(
             judge=judge,
         )
         code, cost, moves, stopped = searched.code, searched.objective, searched.steps, searched.stopped
-    else:
-        code = ShutterCode.from_array(problem.random_codes(1, rng=for_search)[0])
-        cost, moves, stopped = judge.exact_cost(code), 0, "interrupted"
-    code, cost = best_of(code, cost, known)
-    return Found(code, cost, moves, time.monotonic() - began, stopped, known)
+    code, cost = _best_of(code, cost, known)
+    return Found(code, cost, moves, time.monotonic() - began, stopped, tuple(known))
+
+
+def prove_code(
+    problem: SearchProblem,
+    *,
+    rng: np.random.Generator,
+    time_s: float = math.inf,
+    length_px: float | None = None,
+    progress: Callable[[float, ShutterCode], None] | None = None,
+    threads: int | None = None,
+) -> Found:
+    """Count all codes for the best; where Ctrl-C stops that, a baseline may be the best yet.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    rng, time_s, length_px
+        Of the baselines, as of :func:`baselines`; the count runs to its end.
+    progress, threads
+        Of the count, as :func:`cep.search.exhaustive.exact.exact` takes them.
+
+    Raises
+    ------
+    ValueError
+        If the problem is not one that can be counted.
+    """
+    proven = exact(problem, threads=threads, progress=progress)
+    judge = Objective(problem, oversampling=_FINE, dtype=np.float64)
+    known: list[Baseline] = []
+    with suppress(KeyboardInterrupt):
+        for one in baselines(problem, rng=rng, judge=judge, length_px=length_px, time_s=time_s, threads=threads):
+            known.append(one)
+    code, cost = proven.code, judge.exact_cost(proven.code)
+    if not proven.proven:
+        code, cost = _best_of(code, cost, known)
+    return Found(
+        code, cost, codes_to_count(problem), proven.seconds, "proven" if proven.proven else "interrupted",
+        tuple(known), proven.proof.to_dict(),
+    )  # fmt: skip
 
 
 def _starts(problem: SearchProblem, known: Iterable[Baseline]) -> list[ShutterCode]:
@@ -167,12 +210,7 @@ def _starts(problem: SearchProblem, known: Iterable[Baseline]) -> list[ShutterCo
     return codes
 
 
-def judge_of(problem: SearchProblem) -> Objective:
-    """Return the objective that codes are compared by in the end, see :meth:`Objective.exact_cost`."""
-    return Objective(problem, oversampling=_FINE, dtype=np.float64)
-
-
-def best_of(code: ShutterCode, cost_db: float, known: Iterable[Baseline]) -> tuple[ShutterCode, float]:
+def _best_of(code: ShutterCode, cost_db: float, known: Iterable[Baseline]) -> tuple[ShutterCode, float]:
     """Return the best, with its cost, of a code and the baselines within the limits; the code where none is better."""
     best = min((one for one in known if one.within_limits), key=lambda one: one.cost_db, default=None)
     return (code, cost_db) if best is None or best.cost_db >= cost_db else (best.code, best.cost_db)
@@ -182,17 +220,20 @@ def baselines(
     problem: SearchProblem,
     *,
     rng: np.random.Generator,
+    judge: Objective | None = None,
     length_px: float | None = None,
     time_s: float = math.inf,
     threads: int | None = None,
-) -> tuple[Baseline, ...]:
-    """List the codes that would be used instead of a searched one.
+) -> Iterator[Baseline]:
+    """Yield the codes that would be used instead of a searched one, each as soon as it is known.
 
     Parameters
     ----------
     problem : SearchProblem
         Its limits are kept by the length-only and the random code, and by the snapshot and the strobe that say so.
     rng : numpy Generator
+    judge : Objective, optional
+        Of the problem, finely sampled; made here when omitted.
     length_px : float, optional
         Of the path, for the length-only code; :func:`mean_length_px` of the problem when omitted.
     time_s : float
@@ -200,33 +241,21 @@ def baselines(
     threads : int, optional
         As many as there are cores when omitted; the codes do not depend on it.
 
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C, what was known has been yielded by then.
+
     Notes
     -----
     The snapshot is the run of open chips, anywhere in the exposure and of any length, and the strobe the periodic
     pulses, that are best by the problem's objective. The length-only code is searched as the DNF methods do: for a
     uniform straight motion of the path's length, least noise. The random code is the middle one of 15 by the objective.
     """
-    judge = judge_of(problem)
-    return tuple(_listed(problem, judge, rng=rng, length_px=length_px, time_s=time_s, threads=threads))
-
-
-def baselines_so_far(
-    problem: SearchProblem,
-    judge: Objective,
-    *,
-    rng: np.random.Generator,
-    length_px: float | None,
-    time_s: float,
-    threads: int | None,
-) -> tuple[tuple[Baseline, ...], bool]:
-    """List the baselines until Ctrl-C, and say whether they are all there; arguments as of :func:`baselines`."""
-    known: list[Baseline] = []
-    try:
-        for one in _listed(problem, judge, rng=rng, length_px=length_px, time_s=time_s, threads=threads):
-            known.append(one)
-    except KeyboardInterrupt:
-        return tuple(known), False
-    return tuple(known), True
+    judge = judge or Objective(problem, oversampling=_FINE, dtype=np.float64)
+    found = _used_instead(problem, rng=rng, length_px=length_px, time_s=time_s, threads=threads)
+    for name, code, stopped_early in found:
+        yield Baseline(name, code, judge.exact_cost(code), problem.allows(code), stopped_early)
 
 
 def mean_length_px(problem: SearchProblem) -> float:
@@ -234,33 +263,22 @@ def mean_length_px(problem: SearchProblem) -> float:
     return float(np.mean([one.trajectory.length_px for one in problem.scenarios] or [problem.chips]))
 
 
-def _listed(
-    problem: SearchProblem,
-    judge: Objective,
-    *,
-    rng: np.random.Generator,
-    length_px: float | None,
-    time_s: float,
-    threads: int | None,
-) -> Iterator[Baseline]:
-    """Yield each baseline as soon as it is known."""
-
-    def listed(name: str, code: ShutterCode, *, stopped_early: bool = False) -> Baseline:
-        return Baseline(name, code, judge.exact_cost(code), problem.allows(code), stopped_early)
-
-    yield listed("open shutter", ShutterCode("1" * problem.chips))
+def _used_instead(
+    problem: SearchProblem, *, rng: np.random.Generator, length_px: float | None, time_s: float, threads: int | None
+) -> Iterator[tuple[str, ShutterCode, bool]]:
+    """Yield the name and the code of each baseline, and whether its search was stopped early."""
+    yield "open shutter", ShutterCode("1" * problem.chips), False
     coarse = Objective(problem, oversampling=_COARSE)
     for name, best in (("best snapshot", best_snapshot), ("best strobe", best_strobe)):
         free = best(coarse)
         if free is None:
             continue
-        row = listed(name, free)
-        yield row
-        kept = None if row.within_limits else best(coarse, within_limits=True)
+        yield name, free, False
+        kept = None if problem.allows(free) else best(coarse, within_limits=True)
         if kept is not None:
-            yield listed(name + _WITHIN, kept)
+            yield name + _WITHIN, kept, False
     for entry in for_chips(problem.chips):
-        yield listed(f"published: {entry.name}", entry.code)
+        yield f"published: {entry.name}", entry.code, False
     length_only = dnf_search(
         mean_length_px(problem) if length_px is None else length_px,
         problem.chips,
@@ -271,8 +289,7 @@ def _listed(
         open_range=problem.open_limits,
         runs=problem.runs,
     )
-    cut = length_only.stopped in ("time", "interrupted")
-    yield listed("length-only code", length_only.code, stopped_early=cut)
+    yield "length-only code", length_only.code, length_only.stopped in ("time", "interrupted")
     if length_only.stopped == "interrupted":
         raise KeyboardInterrupt
-    yield listed("random code, median", random_codes(coarse, _RANDOM_CODES, rng=rng).middle)
+    yield "random code, median", random_codes(coarse, _RANDOM_CODES, rng=rng).middle, False

@@ -17,7 +17,7 @@ from cep.optics.path_limits import check_frame, check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
 from cep.proofs.measure import CodeMetrics, FigureOfMerit, find_figures, own_figures
 from cep.search.problem import SearchProblem
-from cep.search.recipe import Found, baselines_so_far, best_of, judge_of, mean_length_px, search_code
+from cep.search.recipe import Found, mean_length_px, prove_code, search_code
 from cep.workflows.compare import Comparison, as_designed, compare
 from motdiff.trajectory import Trajectory
 
@@ -353,11 +353,12 @@ def search(
     ValueError
         If the problem is not one that the method solves.
     """
+    rng = np.random.default_rng(how.seed)
     if how.method == "exact":
-        return _proven(problem, how, length_px=length_px, threads=threads, progress=progress)
+        return prove_code(problem, rng=rng, time_s=how.limit_s, length_px=length_px, progress=progress, threads=threads)
     return search_code(
         problem,
-        rng=np.random.default_rng(how.seed),
+        rng=rng,
         steps=how.moves(problem),
         time_s=how.limit_s,
         start=_rounded(problem, how.seed) if how.effort == "sdp" else (),
@@ -365,30 +366,6 @@ def search(
         progress=progress,
         threads=threads,
     )
-
-
-def _proven(
-    problem: SearchProblem,
-    how: Search,
-    *,
-    length_px: float | None,
-    threads: int | None,
-    progress: Callable[[float, ShutterCode], None] | None,
-) -> Found:
-    """Count all codes; where Ctrl-C stops that, a baseline may be the best yet."""
-    from cep.search.exhaustive.exact import codes_to_count, exact
-
-    proven = exact(problem, threads=threads, progress=progress)
-    judge = judge_of(problem)
-    rng = np.random.default_rng(how.seed)
-    known, _ = baselines_so_far(problem, judge, rng=rng, length_px=length_px, time_s=how.limit_s, threads=threads)
-    code, cost = proven.code, judge.exact_cost(proven.code)
-    if not proven.proven:
-        code, cost = best_of(code, cost, known)
-    return Found(
-        code, cost, codes_to_count(problem), proven.seconds, "proven" if proven.proven else "interrupted", known,
-        proven.proof.to_dict(),
-    )  # fmt: skip
 
 
 def optimize_motion(

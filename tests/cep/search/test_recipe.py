@@ -105,7 +105,7 @@ def test_ctrl_c_among_the_baselines_returns_the_best_so_far(monkeypatch, at):
         raise KeyboardInterrupt
 
     problem = SearchProblem.along(BENT, chips=9, open_range=(3, 9), objective="mse")
-    whole = baselines(problem, rng=np.random.default_rng(0))
+    whole = tuple(baselines(problem, rng=np.random.default_rng(0)))
     monkeypatch.setattr(recipe, at, interrupted)
     monkeypatch.setattr(recipe, "anneal", None)  # not called
     found = search_code(problem, rng=np.random.default_rng(0))

@@ -2,19 +2,24 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from cep.io.files import read_code
 from cep.optics.camera import Camera
 from cep.proofs.verify.certificates import verify
 from cep.search.limits import RunLimits
+from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
-from cep.search.recipe import judge_of
 from cep.workflows.optimize import optimize
 from motdiff.trajectory import Trajectory
 
 STRAIGHT = Trajectory.straight(16.0)
 BENT = Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])
+
+
+def judge_of(problem):
+    return Objective(problem, oversampling=64, dtype=np.float64)
 
 
 @pytest.mark.parametrize("objective", ["noise", "mse", "flatness"])
