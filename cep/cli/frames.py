@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cep.cli.console import finish, progress, table
+from cep.cli.console import finish, part, table
 from cep.workflows.search_options import Task, ending
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from cep.cli.console import Tick
     from cep.optics.code import ShutterCode
     from cep.search.annealing.anneal import Stopped
     from cep.search.annealing.frames import FramesResult
@@ -26,13 +28,14 @@ def optimize_frames(
     task: Task,
     how: Search,
     frames: int,
+    tick: Tick,
     *,
     profile: DeviceProfile | None,
     output: Path,
     force: bool,
     as_json: bool,
-) -> None:
-    """Search, write and print the codes of several frames, beside the best single code played in every frame.
+) -> Callable[[], None]:
+    """Search and write the codes of several frames, beside the best single code played in every frame.
 
     Parameters
     ----------
@@ -40,10 +43,15 @@ def optimize_frames(
     how : Search
         Half the time at most goes to the single code; both searches make as many moves.
     frames : int
+    tick : Tick
     profile : DeviceProfile, optional
         That must be able to play every code.
     output, force, as_json
         As the command's options.
+
+    Returns
+    -------
+    function that prints what was found
 
     Raises
     ------
@@ -51,6 +59,7 @@ def optimize_frames(
         If an output is in the way or the device cannot play a code.
     """
     from dataclasses import replace
+    from functools import partial
 
     from cep.io.files import StoredCode, write_code
     from cep.io.outputs import claim, new_files
@@ -62,7 +71,7 @@ def optimize_frames(
     files = [output.with_name(f"{output.stem}_{number}{output.suffix}") for number in range(1, frames + 1)]
     claim(files, force=force)
     problem = task.problem
-    single, found, stopped = _search(searched_problem(problem), frames, how, length_px=mean_length_px(problem))
+    single, found, stopped = _search(searched_problem(problem), frames, how, tick, length_px=mean_length_px(problem))
     codes = [replace(code, chip_ns=problem.chip_ns) for code in found.codes]
     for code in codes:
         if reason := unplayable(code.bits, profile, code.chip_ns):
@@ -124,11 +133,11 @@ def optimize_frames(
         console.print("together: root of the sum of |H|^2, its minimum as sampled")
         console.print(f"{found.seconds:.1f} s, {ending(stopped, found.steps)}")
 
-    finish(result, as_json=as_json, show=show)
+    return partial(finish, result, as_json=as_json, show=show)
 
 
 def _search(
-    problem: SearchProblem, frames: int, how: Search, *, length_px: float
+    problem: SearchProblem, frames: int, how: Search, tick: Tick, *, length_px: float
 ) -> tuple[ShutterCode, FramesResult, Stopped]:
     """Search the best single code, then all frames' from it; and what ended them."""
     import numpy as np
@@ -137,26 +146,26 @@ def _search(
     from cep.search.recipe import search_code
 
     moves, time_s = how.moves(problem), how.limit_s
-    with progress("searching a single code") as tick:
-        single = search_code(
-            problem,
-            rng=np.random.default_rng(how.seed),
-            steps=moves,
-            time_s=time_s / 2,
-            length_px=length_px,
-            progress=lambda fraction, best: tick(fraction, f"{best.open_chips} open"),
-        )
-    with progress(f"searching {frames} codes") as tick:
-        found = anneal_frames(
-            problem,
-            frames,
-            rng=np.random.default_rng([how.seed, 3]),
-            steps=moves,
-            # Ctrl-C ends both searches; a time limit only the one
-            time_s=1e-9 if single.stopped == "interrupted" else max(time_s / 2, time_s - single.seconds),
-            start=[[single.code] * frames],
-            progress=lambda fraction, best: tick(fraction, f"{'+'.join(str(code.open_chips) for code in best)} open"),
-        )
+    alone, together = part(tick, 0.0, 0.5), part(tick, 0.5, 1.0)
+    tick(0.0, "a single code")
+    single = search_code(
+        problem,
+        rng=np.random.default_rng(how.seed),
+        steps=moves,
+        time_s=time_s / 2,
+        length_px=length_px,
+        progress=lambda fraction, best: alone(fraction, f"a single code, {best.open_chips} open"),
+    )
+    found = anneal_frames(
+        problem,
+        frames,
+        rng=np.random.default_rng([how.seed, 3]),
+        steps=moves,
+        # Ctrl-C ends both searches; a time limit only the one
+        time_s=1e-9 if single.stopped == "interrupted" else max(time_s / 2, time_s - single.seconds),
+        start=[[single.code] * frames],
+        progress=lambda fraction, best: together(fraction, f"{'+'.join(str(code.open_chips) for code in best)} open"),
+    )
     worst: list[Stopped] = ["interrupted", "time", "steps", "complete"]
     return single.code, found, min(single.stopped, found.stopped, key=worst.index)
 

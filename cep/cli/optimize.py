@@ -68,10 +68,11 @@ from cep.workflows.search_options import SearchOptions, Task, ending, task_of
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from cep.cli.console import Tick
     from cep.jobs.cells import Result
     from cep.optics.code import ShutterCode
     from cep.search.recipe import Found
-    from cep.workflows.optimize import Search
+    from cep.workflows.optimize import Optimum, Search
     from hw.device import DeviceProfile
     from motdiff.io.trajectories import StoredMotion
 
@@ -79,7 +80,6 @@ __all__ = ["optimize", "optimize_folder"]
 
 
 _STANDARD_CHIPS = 52
-_SEARCH_SHARE = 0.85  # of the time; the rest compares the code
 
 
 def optimize(
@@ -175,12 +175,13 @@ def optimize(
 
     Example: cep optimize --each shots_motion --chips 40 --duty 0.4:0.6 --steps 4000000
     """
-    with progress("loading"):
+    with progress("counting codes" if method == "exact" else "searching") as tick:
         from dataclasses import asdict
+        from functools import partial
 
         from cep.io.files import StoredCode, write_code
         from cep.io.outputs import claim
-        from cep.proofs.measure import figure_head, figure_in_words, find_figures
+        from cep.proofs.measure import find_figures
         from cep.search.exhaustive.exact import codes_to_count
         from cep.search.limits import RunLimits
         from cep.search.playable import unplayable
@@ -211,73 +212,76 @@ def optimize(
             except ValueError as error:  # of a folder it stands in the table, and never reaches the command's end
                 raise ValueError(in_options(str(error), context)) from None
 
-        if each is None:
+        if each is not None:
+            if trajectory is not None or linear is not None or frames > 1:
+                raise ValueError(
+                    "--each: takes the place of --trajectory and --linear, and searches one frame for each"
+                )
+            show = optimize_folder(
+                each, task, how, tick, figures=list(own), profile=profile, workers=workers, dask=dask, cache=cache,
+                output=output, force=force, as_json=as_json,
+            )  # fmt: skip
+        else:
             only_of_folders("--each", workers, dask, cache)
             if trajectory is not None and trajectory.is_dir():
                 raise ValueError(f"{trajectory}: is a folder; --each FOLDER searches a code for each motion in it")
             wanted = task(load_motion(trajectory, linear), trajectory)
-        elif trajectory is not None or linear is not None or frames > 1:
-            raise ValueError("--each: takes the place of --trajectory and --linear, and searches one frame for each")
-    if each is not None:
-        optimize_folder(
-            each, task, how, figures=list(own), profile=profile, workers=workers, dask=dask, cache=cache, output=output,
-            force=force, as_json=as_json,
-        )  # fmt: skip
-        return
-    file = output or Path("code.json")
-    if frames > 1:
-        if method != "anneal":
-            raise ValueError(f"--frames: not valid with --method {method}, which searches a single code")
-        optimize_frames(
-            wanted, how, frames, profile=profile, output=file, force=force, as_json=as_json,
-        )  # fmt: skip
-        return
-    claim([file], force=force, inputs=[] if trajectory is None else [trajectory])
+            file = output or Path("code.json")
+            if frames > 1:
+                if method != "anneal":
+                    raise ValueError(f"--frames: not valid with --method {method}, which searches a single code")
+                show = optimize_frames(
+                    wanted, how, frames, tick, profile=profile, output=file, force=force, as_json=as_json
+                )
+            else:
+                claim([file], force=force, inputs=[] if trajectory is None else [trajectory])
 
-    def keep(code: ShutterCode, found: Found) -> None:
-        """Write the code before it is compared: Ctrl-C from here on must not lose it."""
-        if reason := unplayable(code.bits, profile, chip_ns):
-            raise ValueError(reason)
-        write_code(file, StoredCode(code, problem=stored_search(wanted.described, found)))
+                def keep(code: ShutterCode, found: Found) -> None:
+                    """Write the code before it is compared: Ctrl-C from here on must not lose it."""
+                    if reason := unplayable(code.bits, profile, chip_ns):
+                        raise ValueError(reason)
+                    write_code(file, StoredCode(code, problem=stored_search(wanted.described, found)))
 
-    searched = searched_problem(wanted.problem)
-    label = f"counting {codes_to_count(searched):.2g} codes" if method == "exact" else "searching"
-    with progress(label) as tick:
-        tick(0.0)
-        best = find(wanted.problem, **asdict(how), along=wanted.along, figures=own, progress=tick, on_found=keep)
-        best.save(file, described=wanted.described)
+                tick(0.0, f"{codes_to_count(searched_problem(wanted.problem)):.2g} codes" if method == "exact" else "")
+                best = find(
+                    wanted.problem, **asdict(how), along=wanted.along, figures=own, progress=tick, on_found=keep
+                )
+                best.save(file, described=wanted.described)
+                result = {"file": file, **best.to_dict(), "seed": seed, "warnings": list(best.warnings)}
+                show = partial(finish, result, as_json=as_json, show=partial(_show, best=best, file=file))
+    show()
+
+
+def _show(console: Console, *, best: Optimum, file: Path) -> None:
+    """Print a search and its comparison for people."""
+    from cep.io.formatting import number
+    from cep.proofs.measure import figure_head, figure_in_words
+
     code, found, straight = best.code, best.found, best.along is None
-    result = {"file": file, **best.to_dict(), "seed": seed, "warnings": list(best.warnings)}
-
-    def show(console: Console) -> None:
-        from cep.io.formatting import number
-
-        console.print(f"{file}: {code.bits}")
-        light = f"{code.open_chips} of {chips} chips open, {code.pulses} openings"
-        console.print(f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}")
-        heads = (figure_head(*item) for item in best.comparison[0].figures.items())
-        columns = ("code", "open", "min |P|, chips" if straight else "min MTF", "noise gain, dB", "MSE, dB", *heads)
-        lowest = "min_chip" if straight else "min_mtf"
-        rows = [
-            (
-                row.label,
-                row.code.open_chips,
-                *(row.metrics.in_words(name) for name in (lowest, "noise_gain_db", "mse_db")),
-                *map(figure_in_words, row.figures.values()),
-            )
-            for row in best.comparison
-        ]
-        console.print(table("compared on this motion (worse direction where unknown)", columns, rows))
-        console.print(
-            f"certified: min {'|P|' if straight else '|H|'} lies within "
-            f"{best.certificate.lower:.6g}..{best.certificate.upper:.6g} ({best.certificate.method})"
+    console.print(f"{file}: {code.bits}")
+    light = f"{code.open_chips} of {code.chips} chips open, {code.pulses} openings"
+    console.print(f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}")
+    heads = (figure_head(*item) for item in best.comparison[0].figures.items())
+    columns = ("code", "open", "min |P|, chips" if straight else "min MTF", "noise gain, dB", "MSE, dB", *heads)
+    lowest = "min_chip" if straight else "min_mtf"
+    rows = [
+        (
+            row.label,
+            row.code.open_chips,
+            *(row.metrics.in_words(name) for name in (lowest, "noise_gain_db", "mse_db")),
+            *map(figure_in_words, row.figures.values()),
         )
-        if found.stopped == "proven" and found.proof is not None:
-            console.print(f"proven: no code within the limits is better on {found.proof['domain']}")
-        elif best.bound is not None:
-            console.print(f"{best.figure}: no code with so many open chips can do better than {number(best.bound)}")
-
-    finish(result, as_json=as_json, show=show)
+        for row in best.comparison
+    ]
+    console.print(table("compared on this motion (worse direction where unknown)", columns, rows))
+    console.print(
+        f"certified: min {'|P|' if straight else '|H|'} lies within "
+        f"{best.certificate.lower:.6g}..{best.certificate.upper:.6g} ({best.certificate.method})"
+    )
+    if found.stopped == "proven" and found.proof is not None:
+        console.print(f"proven: no code within the limits is better on {found.proof['domain']}")
+    elif best.bound is not None:
+        console.print(f"{best.figure}: no code with so many open chips can do better than {number(best.bound)}")
 
 
 _SUMMARY, _CODE = "codes.csv", "code.json"
@@ -298,6 +302,7 @@ def optimize_folder(
     folder: Path,
     task: Callable[[StoredMotion, Path], Task],
     how: Search,
+    tick: Tick,
     *,
     figures: Sequence[str] = (),
     profile: DeviceProfile | None,
@@ -307,8 +312,8 @@ def optimize_folder(
     output: Path | None,
     force: bool,
     as_json: bool,
-) -> None:
-    """Search, write and print a code for each motion, one by one; a failure is reported, the others are kept.
+) -> Callable[[], None]:
+    """Search and write a code for each motion, one by one; a failure is reported, the others are kept.
 
     Parameters
     ----------
@@ -317,6 +322,7 @@ def optimize_folder(
     task : callable
         Makes the search along a motion from a file.
     how : Search
+    tick : Tick
     figures : sequence of str
         Figures of merit of the user's own, each ``module:name``.
     profile : DeviceProfile, optional
@@ -324,68 +330,74 @@ def optimize_folder(
     workers, dask, cache, output, force, as_json
         As the command's options.
 
+    Returns
+    -------
+    function that prints what was found, and ends the command
+
     Raises
     ------
     ValueError
         If there are no motions, an output is in the way, or the options suit none of them.
     """
-    with progress("searching") as tick:
-        from cep.io.files import write_code
-        from cep.io.outputs import claim_folder, write_text
-        from cep.jobs.cells import Cell
-        from cep.jobs.fingerprint import source_version
-        from cep.search.playable import unplayable
-        from cep.workflows.calibrate_folder import motions_in
-        from cep.workflows.optimize import code_from_figures, optimize_motion
+    from functools import partial
 
-        motions = motions_in(folder)
-        tasks, failures = _tasks(folder, motions, task)  # first: it tells what is wrong with the options
-        columns = {**_COLUMNS, **{name: name for name in figures}}
-        target = output or folder
-        claim_folder(target, [_SUMMARY], force=force)
-        for name in motions:
-            claim_folder(target / name, [_CODE], force=force)
-        version = source_version(["cep.workflows.optimize", *(name.partition(":")[0] for name in figures)])
-        own = {"figures": list(figures)} if figures else {}
-        cells = [
-            Cell(
-                (name,),
-                optimize_motion,
-                {"problem": one.problem, "along": one.along, "how": how, **own},
-                version,
-            )
-            for name, one in tasks.items()
-        ]  # fmt: skip
-        codes: dict[str, dict[str, Any]] = {}
+    from cep.io.files import write_code
+    from cep.io.outputs import claim_folder, write_text
+    from cep.jobs.cells import Cell
+    from cep.jobs.fingerprint import source_version
+    from cep.search.playable import unplayable
+    from cep.workflows.calibrate_folder import motions_in
+    from cep.workflows.optimize import code_from_figures, optimize_motion
 
-        def write(result: Result) -> None:
-            (name,) = result.cell.name
-            told, stored = code_from_figures(result.finished.figures, tasks[name].described)
-            if reason := unplayable(stored.code.bits, profile, stored.code.chip_ns):
-                failures[name] = reason
-                return
-            file = target / name / _CODE
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_code(file, stored)
-            codes[name] = {"file": file, **told}
-
-        outcome = run_folder(
-            cells, tick, noun="codes", cache=cache or target / "cells", workers=workers, dask=dask, write=write
+    motions = motions_in(folder)
+    tasks, failures = _tasks(folder, motions, task)  # first: it tells what is wrong with the options
+    columns = {**_COLUMNS, **{name: name for name in figures}}
+    target = output or folder
+    claim_folder(target, [_SUMMARY], force=force)
+    for name in motions:
+        claim_folder(target / name, [_CODE], force=force)
+    version = source_version(["cep.workflows.optimize", *(name.partition(":")[0] for name in figures)])
+    own = {"figures": list(figures)} if figures else {}
+    cells = [
+        Cell(
+            (name,),
+            optimize_motion,
+            {"problem": one.problem, "along": one.along, "how": how, **own},
+            version,
         )
-        codes = {name: codes[name] for name in tasks if name in codes}
-        failures |= {name: reason for (name,), reason in outcome.failures.items()}
-        if force:
-            for name in failures:
-                discard(target / name, [_CODE])
-        rows = [
-            {"motion": name, **codes.get(name, {}), "failure": failures.get(name, "" if name in codes else NOT_REACHED)}
-            for name in motions
-        ]
-        rows = [{**row, **_own(row.get("figures", {}))} for row in rows]
-        spelt = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
-        target.mkdir(parents=True, exist_ok=True)  # nothing is in it where every motion failed
-        write_text(target / _SUMMARY, summary_csv((*columns, *_MORE), spelt))
-    finish_folder(
+        for name, one in tasks.items()
+    ]  # fmt: skip
+    codes: dict[str, dict[str, Any]] = {}
+
+    def write(result: Result) -> None:
+        (name,) = result.cell.name
+        told, stored = code_from_figures(result.finished.figures, tasks[name].described)
+        if reason := unplayable(stored.code.bits, profile, stored.code.chip_ns):
+            failures[name] = reason
+            return
+        file = target / name / _CODE
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_code(file, stored)
+        codes[name] = {"file": file, **told}
+
+    outcome = run_folder(
+        cells, tick, noun="codes", cache=cache or target / "cells", workers=workers, dask=dask, write=write
+    )
+    codes = {name: codes[name] for name in tasks if name in codes}
+    failures |= {name: reason for (name,), reason in outcome.failures.items()}
+    if force:
+        for name in failures:
+            discard(target / name, [_CODE])
+    rows = [
+        {"motion": name, **codes.get(name, {}), "failure": failures.get(name, "" if name in codes else NOT_REACHED)}
+        for name in motions
+    ]
+    rows = [{**row, **_own(row.get("figures", {}))} for row in rows]
+    spelt = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
+    target.mkdir(parents=True, exist_ok=True)  # nothing is in it where every motion failed
+    write_text(target / _SUMMARY, summary_csv((*columns, *_MORE), spelt))
+    return partial(
+        finish_folder,
         {"folder": target, "summary": target / _SUMMARY, "codes": codes, "seed": how.seed},
         columns,
         rows,

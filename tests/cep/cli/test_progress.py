@@ -53,8 +53,8 @@ print(json.dumps({"code": code, "shown": shown, "last": Terminal.text}))
         (("calibrate", "small"), "estimating the motion (motdiff)"),
         (("deblur", "blurred.png", "--trajectory", "trajectory.json", "-o", "out.txt"), "restoring"),
         (("demo", "--photo", "small.png"), "starting"),
-        (("optimize", "--linear", "12", "--chips", "12", "--open", "13"), "loading"),
-        (("optimize", "--each", "nowhere"), "loading"),
+        (("optimize", "--linear", "12", "--chips", "12", "--open", "13"), "searching"),
+        (("optimize", "--each", "nowhere"), "searching"),
         (("pareto", "--chips", "12", "--open", "13"), "searching"),
         (("bench", "--data", "nowhere", "-o", "out"), "planning"),
         (("bench", "blind", "--data", "nowhere"), "measuring"),
@@ -154,12 +154,13 @@ def test_the_share_of_a_calibration_rises_to_one(cep, workplace, told, quick_bli
     [
         ("--linear", "12", "--chips", "12", "--steps", "3000"),
         ("--linear", "12", "--chips", "12", "--method", "exact"),
+        ("--linear", "12", "--chips", "12", "--frames", "2", "--steps", "3000"),
         ("--linear", "12", "--chips", "3", "--fixed", "101", "--steps", "3000"),  # no other code: nothing to search
     ],
 )
 def test_the_share_of_a_search_rises_to_one(cep, workplace, told, options):
     cep.succeeds("optimize", *options, "-o", "found.json")
-    _, shares = told
+    (shares,) = told
     rises(shares)
 
 
