@@ -78,7 +78,6 @@ def audit(
     from cep.codes.sources import find_code
     from cep.io.files import json_text
     from cep.io.outputs import claim, write_text
-    from cep.optics.path_limits import check_frame, check_resolved
     from cep.proofs.audit import audit as audited
     from cep.proofs.measure import find_figures
     from cep.proofs.verify.certificates import verify
@@ -88,12 +87,11 @@ def audit(
     stated = trajectory is not None or linear is not None
     motion = load_motion(trajectory, linear).trajectory if stated else None
     own = find_figures(figure or ())
-    if motion is not None:  # before an output in the way is
-        check_frame(motion)
-        check_resolved(motion, stored.code.chips)
-    claim([output] if output else [], force=force)
     with progress("auditing") as tick:
-        found = audited(stored.code, motion, camera=noise, flips=flips, figures=own, progress=tick)
+        found = audited(
+            stored.code, motion, camera=noise, flips=flips, figures=own, progress=tick,
+            on_checked=lambda: claim([output] if output else [], force=force),
+        )  # fmt: skip
     verdict = None
     if stored.certificate:
         path = None if motion is None else (motion.t.tolist(), motion.xy.tolist())

@@ -157,6 +157,7 @@ def audit(
     flips: int | None = None,
     figures: Mapping[str, FigureOfMerit] | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
+    on_checked: Callable[[], None] = lambda: None,
 ) -> Audit:
     """Measure a code, prove its minimum, list its zeros and the grids that hide them, and look for better neighbours.
 
@@ -173,6 +174,8 @@ def audit(
         Figures of merit of the user's own, see :func:`cep.proofs.measure.own_figures`.
     progress : callable, optional
         Called with the finished share, 0..1, and what comes next.
+    on_checked : callable, optional
+        Called before the work, when the path has been checked.
 
     Raises
     ------
@@ -191,6 +194,7 @@ def audit(
     motion = Trajectory.straight(float(code.chips)) if trajectory is None else trajectory
     check_frame(motion)
     check_resolved(motion, code.chips)
+    on_checked()
     far = flips if flips is not None else 3 if code.chips <= _LONG_CHIPS else 2
     progress(0.0, "measuring")
     own = own_figures(figures or {}, motion, code)
