@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from motdiff.trajectory import Trajectory
 
 __all__ = [
-    "DIRECTIONS",
     "SearchOptions",
     "Task",
     "ending",
@@ -28,7 +27,6 @@ __all__ = [
 ]
 
 
-DIRECTIONS = ("auto", "unknown", "forward")
 _SPEEDS = 5
 _JITTERS = 6
 
@@ -72,8 +70,6 @@ def problem_of(
     from cep.search.playable import Playable, within_device
     from cep.search.problem import SearchProblem
 
-    if wish.direction not in DIRECTIONS:
-        raise ValueError(f"--direction: must be one of {', '.join(DIRECTIONS)}, got {wish.direction!r}")
     open_range = open_limits(wish.chips, wish.open_chips, wish.duty)
     played = Playable(replace(wish.runs, fixed=_mask(wish)), open_range, None)
     if profile is not None:

@@ -306,7 +306,7 @@ def test_the_fronts_time_rules_unless_moves_are_given(cep, workplace, monkeypatc
         seen.append((steps, time_s))
         return real(problem, **options, steps=100, time_s=60.0)
 
-    monkeypatch.setattr(pareto, "pareto_front", hasty)
+    monkeypatch.setattr("cep.workflows.pareto.pareto_front", hasty)
     for given in ((), ("--time", "7"), ("--steps", "90"), ("--steps", "90", "--time", "7")):
         cep.succeeds("pareto", "--chips", "12", "--open", "6", "--force", *given)
     assert seen == [(None, 60.0), (None, 7.0), (90, math.inf), (90, 7.0)]

@@ -58,7 +58,7 @@ def test_an_interrupt_keeps_the_front(cep, workplace, monkeypatch):
         return real(problem, progress=stop, **options)
 
     real = pareto.pareto_front
-    monkeypatch.setattr(pareto, "pareto_front", interrupted_soon)
+    monkeypatch.setattr("cep.workflows.pareto.pareto_front", interrupted_soon)
     found = cep.succeeds("pareto", "--chips", "20", "-o", "f.json")
     assert found["interrupted"]
     assert found["stopped"] == "interrupted"

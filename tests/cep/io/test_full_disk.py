@@ -164,8 +164,9 @@ def test_a_command_leaves_all_its_files_or_none(cep, ready, monkeypatch, name):
                 item.unlink()
 
     front = cache(partial(pareto.pareto_front, SearchProblem(chips=8), rng=np.random.default_rng(0), steps=50))
-    monkeypatch.setattr(pareto, "pareto_front", lambda *_arguments, **_options: front())  # a second each time
-    for figure in ("cep.plots.pareto.pareto_figure", "cep.workflows.calibrate.trajectory_figure"):
+    # a search takes a second each time
+    monkeypatch.setattr("cep.workflows.pareto.pareto_front", lambda *_arguments, **_options: front())
+    for figure in ("cep.workflows.pareto.pareto_figure", "cep.workflows.calibrate.trajectory_figure"):
         monkeypatch.setattr(figure, lambda *_arguments: new_figure(1, 1))
     arguments = (*COMMANDS[name], "--force")
     emptied()
