@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from cep.optics.code import ShutterCode
     from cep.proofs.audit import Audit
     from cep.proofs.verify.certificates import Verdict
 
@@ -161,45 +162,36 @@ def mtf(
     """
     from cep.codes.sources import code_label, load_code
     from cep.io.outputs import claim
-    from cep.optics.code import ShutterCode
-    from cep.optics.path_limits import check_frame, check_resolved
-    from cep.plots import check_figure_name, mtf_curve, mtf_figure, save
-    from cep.proofs.measure import figure_head, figure_in_words, find_figures, measure_worst, own_figures
+    from cep.plots import check_figure_name
+    from cep.proofs.measure import figure_head, figure_in_words, find_figures
+    from cep.workflows.mtf import OPEN, compare_mtfs
 
     check_figure_name(output)
     motion = load_motion(trajectory, linear).trajectory
-    check_frame(motion)
     own = find_figures(figure or ())
-    shutters: dict[str, ShutterCode | None] = {"open shutter": None}
+    shutters: dict[str, ShutterCode] = {}
     for source in codes or []:
         label = code_label(source)
-        while label in shutters:
+        while label in (OPEN, *shutters):
             label += "'"
-        shutters[label] = one = load_code(source)
-        check_resolved(motion, one.chips)
-    claim([output], force=force)
-    found = {label: own_figures(own, motion, shutter or ShutterCode("1")) for label, shutter in shutters.items()}
+        shutters[label] = load_code(source)
     with progress("drawing"):
-        save(mtf_figure(motion, shutters), output)
-    curves, rows = {}, []
-    for label, shutter in shutters.items():
-        freq_cy_px, values = mtf_curve(motion, shutter)
-        metrics = measure_worst(motion, shutter or ShutterCode("1"))
-        words = (metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db"))
-        rows.append((label, *words, *map(figure_in_words, found[label].values())))
-        curves[label] = {
-            "bits": None if shutter is None else shutter.bits,
-            "freq_cy_px": freq_cy_px,
-            "mtf": values,
-            **metrics.to_dict(),
-            **({"figures": found[label]} if own else {}),
-        }
+        found = compare_mtfs(motion, shutters, figures=own, on_checked=lambda: claim([output], force=force))
+        found.save(output)
 
     def show(console: Console) -> None:
-        heads = (figure_head(*item) for item in found["open shutter"].items())
+        heads = (figure_head(*item) for item in found.rows[OPEN].figures.items())
+        rows = [
+            (
+                name,
+                *(row.metrics.in_words(figure) for figure in ("min_mtf", "noise_gain_db", "mse_db")),
+                *map(figure_in_words, row.figures.values()),
+            )
+            for name, row in found.rows.items()
+        ]
         console.print(table(str(output), ("code", "min MTF", "noise gain, dB", "MSE, dB", *heads), rows))
 
-    finish({"image": output, "curves": curves, "seed": seed}, as_json=as_json, show=show)
+    finish({"image": output, "curves": found.to_dict(), "seed": seed}, as_json=as_json, show=show)
 
 
 def _place(at: tuple[float, ...], in_chips: bool) -> str:
