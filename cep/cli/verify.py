@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,7 +13,6 @@ from cep.cli.programs import ClockPpm, load_program, open_port, program_figures
 
 if TYPE_CHECKING:
     from hw.program import Program
-    from hw.recordings.playback import Verification
 
 __all__ = ["verify"]
 
@@ -65,33 +64,27 @@ def verify(
         return
     assert capture is not None
     from cep.codes.sources import code_file
-    from cep.io.outputs import claim, new_folder
-    from hw.recordings.capture import read_capture
-    from hw.recordings.playback import align
+    from cep.io.outputs import claim
+    from cep.workflows.playback import playback_files, read_playback
 
     motion = None if trajectory is None and linear is None else load_motion(trajectory, linear).trajectory
-    written = _outputs(output, with_psf=motion is not None)
+    written = [] if output is None else playback_files(output, with_psf=motion is not None)
     claim(written, force=force, inputs=[file for file in (code_file(code), capture, trajectory) if file])
-    recording = read_capture(capture)
-    trace = recording.trace(signal)
-    plays = align(trace, program, trigger=recording.trace(trigger) if trigger else None)
+    found = read_playback(capture, program, signal=signal, trigger=trigger)
     if output is not None:
-        with new_folder(output.parent, [path.name for path in written], force=force) as made:
-            _write(made / output.name, plays[0], program, motion)
-    wrong = [(index, play) for index, play in enumerate(plays, start=1) if play.problems or not play.same_bits]
+        found.save(output, motion=motion, force=force)
     result = {
-        "file": capture, "signal": trace.name, **program_figures(program, None), "played": not wrong,
-        "plays": [_figures(play) for play in plays], "files": written,
+        "file": capture, "signal": found.signal, **program_figures(program, None), **found.to_dict(), "files": written,
     }  # fmt: skip
     finish(result, as_json=as_json, show=lambda console: console.print(
-        table(f"{capture}, {trace.name}", ("play", "clock, ppm", "jitter, ns", "worst edge, ns", "same bits"), [
+        table(f"{capture}, {found.signal}", ("play", "clock, ppm", "jitter, ns", "worst edge, ns", "same bits"), [
             (f"{index} at {play.start_ns / 1e6:.4f} ms", -play.scale_ppm, play.jitter_ns, play.worst_ns,
-             "yes" if play.same_bits else "no") for index, play in enumerate(plays, start=1)
+             "yes" if play.same_bits else "no") for index, play in enumerate(found.plays, start=1)
         ])
     ))  # fmt: skip
-    if wrong:
-        index, play = wrong[0]
-        others = f" ({len(wrong)} of {len(plays)} plays differ)" if len(plays) > 1 else ""
+    if found.wrong:
+        index, play = next(iter(found.wrong.items()))
+        others = f" ({len(found.wrong)} of {len(found.plays)} plays differ)" if len(found.plays) > 1 else ""
         complain(f"play {index}: {play.verdict}{others}")
         raise typer.Exit(FAILURE)
 
@@ -110,38 +103,3 @@ def _held(program: Program, port: str, *, clock_ppm: float, as_json: bool) -> No
     finish(result, as_json=as_json, show=lambda console: console.print(
         f"{port}: holds this code, {program.chips} chips of {program.chip_ns} ns, bit for bit, trust {trust}"
     ))  # fmt: skip
-
-
-def _psf_stem(output: Path) -> str:
-    return f"{output.stem}_psf"
-
-
-def _outputs(output: Path | None, *, with_psf: bool) -> list[Path]:
-    from cep.io.files import PSF_SUFFIXES
-
-    if output is None:
-        return []
-    beside = [output.with_name(_psf_stem(output) + suffix) for suffix in PSF_SUFFIXES] if with_psf else []
-    return [output, *beside]
-
-
-def _write(output: Path, play: Verification, program: Program, motion: Any) -> None:
-    from cep.io.files import StoredCode, write_code, write_psf
-    from cep.optics.as_played import achieved_code, achieved_psf
-    from motdiff.psf_frame import PSF_PX
-
-    code = achieved_code(play, chip_ns=program.chip_ns)
-    write_code(output, StoredCode(code, problem={"played": play.verdict}))
-    if motion is not None:
-        size = max(PSF_PX, 2 * motion.frame_size())  # a slow clock goes on beyond the motion that was asked for
-        psf = achieved_psf(motion, play, chip_ns=program.chip_ns, size=size)
-        write_psf(output.parent, psf, stem=_psf_stem(output))
-
-
-def _figures(play: Verification) -> dict[str, object]:
-    return {
-        "bits": play.achieved, "same_bits": play.same_bits, "start_ns": play.start_ns, "clock_ppm": -play.scale_ppm,
-        "jitter_ns": play.jitter_ns, "worst_ns": play.worst_ns, "widening_ns": play.widening_ns,
-        "latency_ns": play.latency_ns, "missing": play.missing, "extra": play.extra, "inverted": play.inverted,
-        "verdict": play.verdict, "problems": play.problems,
-    }  # fmt: skip

@@ -1,0 +1,118 @@
+"""A recording of a shutter compared with what it should have played, and the code and PSF as achieved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cep.io.files import PSF_SUFFIXES, StoredCode, write_code, write_psf
+from cep.io.outputs import new_folder
+from cep.optics.as_played import achieved_code, achieved_psf
+from cep.optics.code import ShutterCode
+from hw.program import Program
+from hw.recordings.capture import read_capture
+from hw.recordings.playback import Verification, align
+from motdiff.psf_frame import PSF_PX
+from motdiff.trajectory import Trajectory
+
+__all__ = ["Playback", "playback_files", "read_playback"]
+
+
+@dataclass(frozen=True)
+class Playback:
+    """Plays of a program in a recording.
+
+    Attributes
+    ----------
+    program : Program
+        That should have been played.
+    signal : str
+        The shutter's, in the recording.
+    plays : tuple of Verification
+        One or more.
+    """
+
+    program: Program
+    signal: str
+    plays: tuple[Verification, ...]
+
+    @property
+    def wrong(self) -> dict[int, Verification]:
+        """Plays that differ from the program, by their number, counted from 1."""
+        numbered = enumerate(self.plays, start=1)
+        return {number: play for number, play in numbered if play.problems or not play.same_bits}
+
+    @property
+    def code(self) -> ShutterCode:
+        """The first play's code, with its measured chip time."""
+        return achieved_code(self.plays[0], chip_ns=self.program.chip_ns)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON, as ``cep hw verify --json`` prints them."""
+        return {"played": not self.wrong, "plays": [_figures(play) for play in self.plays]}
+
+    def save(self, path: Path | str, *, motion: Trajectory | None = None, force: bool = False) -> Sequence[Path]:
+        """Write the first play's code, and along a motion its PSF: all of :func:`playback_files` or none.
+
+        Raises
+        ------
+        ValueError
+            If a file exists and ``force`` is not given, no chip was open, or the clock was so slow that the motion is
+            not known for as long.
+        """
+        output, play = Path(path), self.plays[0]
+        files = playback_files(output, with_psf=motion is not None)
+        with new_folder(output.parent, [file.name for file in files], force=force) as made:
+            write_code(made / output.name, StoredCode(self.code, problem={"played": play.verdict}))
+            if motion is not None:
+                size = max(PSF_PX, 2 * motion.frame_size())  # a slow clock goes on beyond the motion that was asked for
+                psf = achieved_psf(motion, play, chip_ns=self.program.chip_ns, size=size)
+                write_psf(made, psf, stem=_psf_stem(output))
+        return files
+
+
+def playback_files(path: Path | str, *, with_psf: bool) -> list[Path]:
+    """List what :meth:`Playback.save` writes: the code, and with a motion its PSF beside it."""
+    output = Path(path)
+    return [output, *(output.with_name(_psf_stem(output) + suffix) for suffix in PSF_SUFFIXES if with_psf)]
+
+
+def read_playback(
+    capture: Path | str, program: Program, *, signal: str | None = None, trigger: str | None = None
+) -> Playback:
+    """Read a recording of a shutter, and find the plays of a program in it.
+
+    Parameters
+    ----------
+    capture : path
+        VCD, or a CSV export of Saleae Logic.
+    program : Program
+    signal : str, optional
+        The shutter's; the busiest one when omitted.
+    trigger : str, optional
+        The trigger's: with it every play has its latency.
+
+    Raises
+    ------
+    ValueError
+        If the recording cannot be read or has no such signal, or nothing was played into it.
+    """
+    recording = read_capture(capture)
+    trace = recording.trace(signal)
+    plays = align(trace, program, trigger=recording.trace(trigger) if trigger else None)
+    return Playback(program, trace.name, tuple(plays))
+
+
+def _psf_stem(output: Path) -> str:
+    return f"{output.stem}_psf"
+
+
+def _figures(play: Verification) -> dict[str, object]:
+    return {
+        "bits": play.achieved, "same_bits": play.same_bits, "start_ns": play.start_ns, "clock_ppm": -play.scale_ppm,
+        "jitter_ns": play.jitter_ns, "worst_ns": play.worst_ns, "widening_ns": play.widening_ns,
+        "latency_ns": play.latency_ns, "missing": play.missing, "extra": play.extra, "inverted": play.inverted,
+        "verdict": play.verdict, "problems": play.problems,
+    }  # fmt: skip

@@ -1,0 +1,51 @@
+"""A recording read from Python: its plays, the code and PSF as achieved, and that files are whole or none."""
+
+import numpy as np
+import pytest
+
+from cep.io.files import read_code
+from cep.optics.exposure import coded_psf
+from cep.workflows.playback import playback_files, read_playback
+from hw.export import EXPORTERS
+from hw.program import Program
+from motdiff.psf_frame import PSF_PX
+from motdiff.trajectory import Trajectory
+
+PROGRAM = Program.from_bits("110100100011", chip_ns=200_000)
+PATH = Trajectory.straight(20.0)
+
+
+@pytest.fixture
+def recording(tmp_path):
+    file = tmp_path / "played.vcd"
+    file.write_text(EXPORTERS["vcd"].export(PROGRAM))
+    return file
+
+
+def test_the_code_that_was_played_and_its_psf_are_saved(recording, tmp_path):
+    found = read_playback(recording, PROGRAM, signal="shutter")
+    assert found.wrong == {}
+    files = found.save(tmp_path / "seen.json", motion=PATH)
+    assert files == playback_files(tmp_path / "seen.json", with_psf=True)
+    assert all(file.is_file() for file in files)
+    assert read_code(tmp_path / "seen.json").code == found.code
+    assert found.code.bits == PROGRAM.bits
+    psf = np.load(tmp_path / "seen_psf.npy")  # float32
+    np.testing.assert_allclose(psf, coded_psf(PATH, found.code, size=PSF_PX), atol=1e-6)
+
+
+def test_a_play_of_another_code_is_told_by_its_number(recording):
+    other = Program.from_bits("110100100001", chip_ns=200_000)
+    found = read_playback(recording, other, signal="shutter")
+    assert list(found.wrong) == [1]
+    assert not found.to_dict()["played"]
+    assert found.code.bits == PROGRAM.bits
+
+
+def test_nothing_is_replaced_unless_asked(recording, tmp_path):
+    found = read_playback(recording, PROGRAM, signal="shutter")
+    (tmp_path / "seen_psf.npy").write_text("precious")
+    with pytest.raises(ValueError, match="--force"):
+        found.save(tmp_path / "seen.json", motion=PATH)
+    assert not (tmp_path / "seen.json").exists()
+    found.save(tmp_path / "seen.json", motion=PATH, force=True)
