@@ -228,8 +228,6 @@ def optimize(
             wanted = task(load_motion(trajectory, linear), trajectory)
             file = output or Path("code.json")
             if frames > 1:
-                if method != "anneal":
-                    raise ValueError(f"--frames: not valid with --method {method}, which searches a single code")
                 show = optimize_frames(
                     wanted, how, frames, tick, profile=profile, output=file, force=force, as_json=as_json
                 )

@@ -233,7 +233,7 @@ def budgets(monkeypatch):
 
         return search
 
-    for name in ("cep.search.recipe.anneal", "cep.search.annealing.frames.anneal_frames"):
+    for name in ("cep.search.recipe.anneal", "cep.workflows.frames.anneal_frames"):
         module, function = name.rsplit(".", 1)
         monkeypatch.setattr(name, hasty(getattr(importlib.import_module(module), function)))
     return seen
