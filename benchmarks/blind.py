@@ -5,7 +5,7 @@
     ... --method motdiff                           # pmp when omitted
 
 Without a folder the sharp photos are scikit-image's own, without a trace the hand shake is synthetic. What estimates
-are worth where the motion is known is measured by ``cep bench blind`` and ``python -m motdiff eval``.
+are worth where the motion is known is measured by ``cep bench blind``.
 """
 
 from __future__ import annotations

@@ -1,18 +1,25 @@
-"""Command line of ``python -m motdiff``: training, preparation, export, evaluation and sampling of the network."""
+"""Command line of ``python -m motdiff``: training, preparation, export and sampling of the network."""
 
 from __future__ import annotations
 
 import argparse
-import json
+import io
 import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
+from numpy.typing import NDArray
+
 from motdiff.io.outputs import check_file, check_folder
 
 __all__ = ["run"]
+
+FloatArray = NDArray[np.float64]
+
+_TILE_IN = 1.3
 
 _EXAMPLES = """\
 examples:
@@ -22,7 +29,8 @@ examples:
   python -m motdiff prepare motdiff/configs/cpu.toml -o samples --shards 0:100
   python -m motdiff train motdiff/configs/cpu.toml -o run --minutes 30
   python -m motdiff export run -o motdiff.safetensors
-  python -m motdiff eval --set paper --set gyro --photos photos/ --gyro gyro.txt --weights motdiff.safetensors
+measured where the motion is known:
+  cep bench blind --protocol card-gyro --data photos/ --gyro gyro.txt --methods pmp,network:ddim:10@motdiff.safetensors
 """
 
 
@@ -32,7 +40,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         prog="python -m motdiff", epilog=_EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for add in (_add_train, _add_prepare, _add_pack, _add_export, _add_sample, _add_eval):
+    for add in (_add_train, _add_prepare, _add_pack, _add_export, _add_sample):
         add(commands)
     given = parser.parse_args(arguments)
     command: Callable[[argparse.Namespace], None] = given.command
@@ -205,7 +213,6 @@ def _sample(given: argparse.Namespace) -> None:
 
     from motdiff.estimators.kernel_score import noise_sigma
     from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
-    from motdiff.evaluation.pictures import drawn_sheet
     from motdiff.io.decoding import decode
     from motdiff.io.outputs import write_bytes
     from motdiff.io.photo_files import photo_bytes
@@ -226,71 +233,30 @@ def _sample(given: argparse.Namespace) -> None:
     generator = torch.Generator().manual_seed(given.seed)
     network = load_network(given.weights or DEFAULT_WEIGHTS)
     psfs = draw_psfs(network, light, classical, count=given.count, steps=given.steps, generator=generator)
-    write_bytes(given.out, drawn_sheet(light[0], classical, psfs))
+    write_bytes(given.out, _drawn_sheet(light[0], classical, psfs))
 
 
-def _add_eval(commands: _Commands[argparse.ArgumentParser]) -> None:
-    parser = commands.add_parser("eval", help="measure estimators where the motion is known")
-    parser.add_argument(
-        "--set", dest="sets", action="append", default=[], metavar="SET", help="paper, boracchi-foi or gyro; repeatable"
-    )
-    parser.add_argument("--photos", type=Path, help="sharp photos for the simulated sets: a folder, or a pack")
-    parser.add_argument("--gyro", type=Path, metavar="FILE", help="gyroscope recording for the set gyro")
-    parser.add_argument("--levin", type=Path, metavar="DIR", help="Levin's .mat files: adds the set levin")
-    parser.add_argument(
-        "--method", dest="methods", action="append", default=[], metavar="METHOD",
-        help="pmp, motdiff, network (one draw as it is) or network:SAMPLER:STEPS, parametric or "
-        "psf-diffusion (baselines of other representations), selfdeblur[:ITERATIONS] or blinddps:FOLDER (hours per "
-        "photo); repeatable; pmp and motdiff when omitted",
-    )  # fmt: skip
-    parser.add_argument(
-        "--weights", type=Path, action="append", default=[], metavar="FILE",
-        help="weights of motdiff; several give a row each, named by the file's stem",
-    )  # fmt: skip
-    parser.add_argument("--count", type=int, default=24, help="photos per simulated set")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--sigma", type=float, help="noise, full scale 1, instead of each set's own (0; 0.01; 0.01)")
-    parser.add_argument("--grey", action="store_true", help="photos of one channel instead of colour")
-    parser.add_argument("--no-restore", action="store_true", help="leave out PSNR and SSIM")
-    parser.add_argument("--shown", type=int, default=8, metavar="N", help="cases on each contact sheet")
-    parser.add_argument("--json", action="store_true", help="one JSON object on stdout instead of tables")
-    parser.add_argument("-o", "--out", type=Path, default=Path("out/eval"), help="folder of rows, tables and pictures")
-    parser.set_defaults(command=_eval, check=check_folder)
+def _drawn_sheet(photo: FloatArray, classical: FloatArray, psfs: FloatArray) -> bytes:
+    """Lay out a photo, the classical kernels given to the network, and its draws, as PNG; PSFs by the square root.
 
+    Parameters
+    ----------
+    photo : (H, W) float, linear light
+    classical : (Q, 64, 64) float
+    psfs : (K, 64, 64) float
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
-def _eval(given: argparse.Namespace) -> None:
-    from motdiff.evaluation.methods import named_estimators
-    from motdiff.evaluation.report import report_document, report_text, write_report
-    from motdiff.evaluation.run import evaluate, levin_set, simulated_sets
-
-    if not given.sets and given.levin is None:
-        raise ValueError("--set: name at least one of paper, boracchi-foi and gyro, or give --levin DIR")
-    if given.sets and given.photos is None:
-        raise ValueError("--photos: the simulated sets need sharp photos, a folder or a pack")
-    methods = given.methods or ["pmp", "motdiff"]
-    estimators = named_estimators(methods, given.weights)
-    sets = [] if given.levin is None else [levin_set(given.levin)]
-    if given.sets:
-        sets += simulated_sets(
-            given.sets,
-            given.photos,
-            count=given.count,
-            seed=given.seed,
-            sigma=given.sigma,
-            gyro_trace=given.gyro,
-            grey=given.grey,
-        )
-    outcome = evaluate(
-        sets,
-        estimators,
-        given.out,
-        restore=not given.no_restore,
-        shown=given.shown,
-        report=lambda line: print(line, file=sys.stderr, flush=True),  # noqa: T201
-    )
-    options = {name: value for name, value in vars(given).items() if name not in ("command", "check")}
-    document = report_document(outcome, options)
-    write_report(outcome, document, given.out)
-    print(json.dumps(document) if given.json else report_text(outcome))  # noqa: T201
-    if outcome.stopped:
-        raise KeyboardInterrupt
+    titles = ["photo", *["classical"] * len(classical), *[f"draw {i + 1}" for i in range(len(psfs))]]
+    figure = Figure(figsize=(_TILE_IN * len(titles), _TILE_IN + 0.3), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    pictures = [np.clip(photo, 0, 1) ** (1 / 2.2), *np.sqrt(classical), *np.sqrt(psfs)]
+    for place, (title, picture) in enumerate(zip(titles, pictures, strict=True)):
+        axes = figure.add_subplot(1, len(titles), place + 1)
+        axes.imshow(picture, cmap="gray")
+        axes.set_title(title, fontsize=8)
+        axes.set_axis_off()
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=110, metadata={"Software": None})
+    return stream.getvalue()

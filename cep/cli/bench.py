@@ -49,11 +49,15 @@ Methods = Annotated[
         "--methods",
         metavar="NAME,...",
         help="Estimators, as pmp,motdiff; all that take seconds when omitted. Others: selfdeblur (hours), "
-        "blinddps:FOLDER of weights, network:ddpm:1000, module:name of an estimator of your own.",
+        "blinddps:FOLDER of weights, network:ddpm:1000, motdiff@FILE and network:ddim:10@FILE of other weights, "
+        "module:name of an estimator of your own.",
     ),
 ]
 ProtocolName = Annotated[
-    str, typer.Option("--protocol", metavar="NAME|FILE", help="paper, ours, or a .toml file like these.")
+    str,
+    typer.Option(
+        "--protocol", metavar="NAME|FILE", help="paper, ours, card-walks, card-gyro, or a .toml file like these."
+    ),
 ]
 
 

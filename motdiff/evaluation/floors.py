@@ -6,27 +6,19 @@ MNC subtracts no mean, so a Gaussian blob scores 0.4 to 0.6. Figures are to be r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from motdiff.evaluation.sets import Case
-from motdiff.io.gyro_tables import read_gyro
 from motdiff.psf_frame import PSF_PX, centred, in_frame
 from motdiff.tracing.quadratic import most_alike_quadratic
 from motdiff.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from motdiff.training.motion_bank import MotionMix
-
-__all__ = ["ceilings", "delta", "floors", "gaussian", "mean_kernel", "mean_psf", "path_kernel", "quadratic_kernel"]
+__all__ = ["delta", "floors", "gaussian", "mean_psf", "path_kernel", "quadratic_kernel"]
 
 FloatArray = NDArray[np.float64]
 
-_STREAM = 0x6D65616E  # other motions than those of the cases
-_OTHERS = 200
 _ROUNDS = 3
 _SIGMA_PX = 4.0
 
@@ -43,21 +35,6 @@ def gaussian(sigma_px: float = _SIGMA_PX, size: int = PSF_PX) -> FloatArray:
     along = np.exp(-0.5 * ((np.arange(size) - size // 2) / sigma_px) ** 2)
     psf = along[:, None] * along[None, :]
     return np.asarray(psf / psf.sum(), dtype=np.float64)
-
-
-def mean_kernel(mix: MotionMix, *, seed: int, count: int = _OTHERS) -> FloatArray:
-    """:func:`mean_psf` of ``count`` other motions of the mix, (64, 64).
-
-    Parameters
-    ----------
-    mix : MotionMix
-    seed, count : int
-    """
-    from motdiff.training.motion_bank import draw_motion
-
-    trace = read_gyro(mix.gyro_trace) if mix.gyro > 0 else None
-    rngs = (np.random.default_rng([_STREAM, seed, i]) for i in range(count))
-    return mean_psf([draw_motion(mix, rng, trace).psf(PSF_PX) for rng in rngs])
 
 
 def mean_psf(psfs: Sequence[FloatArray]) -> FloatArray:
@@ -109,22 +86,7 @@ def floors(mean: FloatArray | None = None) -> dict[str, FloatArray]:
     Parameters
     ----------
     mean : (S, S) float, optional
-        :func:`mean_kernel` of the set, where its motions are drawn from a mix.
+        :func:`mean_psf` of other motions of the kind.
     """
     known = {"delta": delta(), "gaussian": gaussian()}
     return known if mean is None else {**known, "mean-kernel": mean}
-
-
-def ceilings(case: Case) -> dict[str, FloatArray]:
-    """Kernels made from the truth, by name; the last is "true-kernel".
-
-    Where the trajectory is known, "best-quadratic" and "true-path" come before it: the limits of quadratic paths and of
-    paths without dwell.
-    """
-    if case.trajectory is None:
-        return {"true-kernel": case.psf}
-    return {
-        "best-quadratic": quadratic_kernel(case.trajectory),
-        "true-path": path_kernel(case.trajectory),
-        "true-kernel": case.psf,
-    }

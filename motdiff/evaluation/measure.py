@@ -1,4 +1,4 @@
-"""One row of figures per photo and method: kernel, path, restored photo, confidence, time."""
+"""Figures of one method on one photo: kernel, path, restored photo, confidence, time."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from motdiff.metrics import (
 )
 from motdiff.psf_frame import PSF_PX
 
-__all__ = ["FIGURES", "RESTORATION", "Measured", "Row", "measure_estimator", "measure_psf", "restored"]
+__all__ = ["FIGURES", "RESTORATION", "Measured", "measure_estimator", "measure_psf", "restored"]
 
 FloatArray = NDArray[np.float64]
 
 FIGURES = ("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim", "confidence", "cpu_s")
-"""Names of a row's figures, in the order of every table."""
+"""Names of the figures of :class:`Measured`."""
 
 _LEAST_WEIGHT, _MOST_WEIGHT = 2e-4, 2e-3
 _WEIGHT_PER_VARIANCE = 2.5
@@ -40,12 +40,13 @@ RESTORATION = (
 
 
 @dataclass(frozen=True)
-class Row:
-    """Figures of one method on one photo; NaN where there is nothing to measure.
+class Measured:
+    """Figures of one kernel on one photo; NaN where there is nothing to measure.
 
     Attributes
     ----------
-    set, case, method : str
+    psf : (S, S) float
+        The kernel.
     mnc, mnc_subpixel : float
         Of the PSF with the true one, over whole pixels and over 0.05 px.
     path_mnc : float
@@ -58,91 +59,61 @@ class Row:
         Of the estimate, 0..1.
     cpu_s : float, seconds
         Processor time of the estimate, all threads, including earlier runs of a resumed estimate.
-    failure : str
-        Reason of a failure; "" for an estimate.
     """
 
-    set: str
-    case: str
-    method: str
-    mnc: float = _NAN
-    mnc_subpixel: float = _NAN
+    psf: FloatArray
+    mnc: float
+    mnc_subpixel: float
     path_mnc: float = _NAN
     path_px: float = _NAN
     psnr_db: float = _NAN
     ssim: float = _NAN
     confidence: float = _NAN
     cpu_s: float = _NAN
-    failure: str = ""
 
 
-@dataclass(frozen=True)
-class Measured:
-    """A row and the kernel behind it.
-
-    Attributes
-    ----------
-    row : Row
-    psf : (S, S) float, optional
-        None when the estimator failed.
-    """
-
-    row: Row
-    psf: FloatArray | None
-
-
-def measure_psf(set_name: str, case: Case, method: str, psf: FloatArray, *, restore: bool = True) -> Measured:
+def measure_psf(case: Case, psf: FloatArray, *, restore: bool = True) -> Measured:
     """Measure a kernel that no estimator found: a floor or a ceiling.
 
     Parameters
     ----------
-    set_name : str
     case : Case
-    method : str
     psf : (S, S) float
     restore : bool
         Whether the photo is restored, where there is a sharp one.
+
+    Raises
+    ------
+    ValueError
+        If the kernel is not finite, or zero.
     """
     psnr_db, ssim = _restoration(case, psf) if restore else (_NAN, _NAN)
-    row = Row(
-        set_name,
-        case.name,
-        method,
-        mnc=mnc(psf, case.psf),
-        mnc_subpixel=mnc_subpixel(psf, case.psf),
-        psnr_db=psnr_db,
-        ssim=ssim,
-    )
-    return Measured(row, psf)
+    return Measured(psf, mnc(psf, case.psf), mnc_subpixel(psf, case.psf), psnr_db=psnr_db, ssim=ssim)
 
 
-def measure_estimator(
-    set_name: str, case: Case, method: str, estimator: Estimator, *, restore: bool = True
-) -> Measured:
-    """Run an estimator on the photo and measure its result; a ``ValueError`` makes a row with ``failure``.
+def measure_estimator(case: Case, estimator: Estimator, *, restore: bool = True) -> Measured:
+    """Run an estimator on the photo and measure its result.
 
     An estimate resumed from a checkpoint has its earlier processor time in its details, as ``earlier_cpu_s``.
 
     Parameters
     ----------
-    set_name : str
     case : Case
-    method : str
     estimator : Estimator
     restore : bool
         Whether the photo is restored, where there is a sharp one.
+
+    Raises
+    ------
+    ValueError
+        If the estimator finds no motion, or none that can be measured.
     """
-    began_s, cpu_s = time.process_time(), _NAN
-    try:
-        estimate = estimator.estimate(case.photo)
-        cpu_s = time.process_time() - began_s + _earlier_cpu_s(estimate)
-        kernel = measure_psf(set_name, case, method, estimate.psf, restore=restore)
-        path_mnc, path_px = _path_figures(case, estimate)
-    except ValueError as error:
-        reason = str(error).split("\n")[0] or "ValueError"
-        return Measured(Row(set_name, case.name, method, cpu_s=cpu_s, failure=reason), None)
-    found = replace(kernel.row, path_mnc=path_mnc, path_px=path_px, confidence=estimate.confidence, cpu_s=cpu_s)
-    return Measured(found, estimate.psf)
+    began_s = time.process_time()
+    estimate = estimator.estimate(case.photo)
+    cpu_s = time.process_time() - began_s + _earlier_cpu_s(estimate)
+    kernel = measure_psf(case, estimate.psf, restore=restore)
+    path_mnc, path_px = _path_figures(case, estimate)
+    return replace(kernel, path_mnc=path_mnc, path_px=path_px, confidence=estimate.confidence, cpu_s=cpu_s)
 
 
 def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:

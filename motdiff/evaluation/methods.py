@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
 from motdiff.io.plugins import is_reference
 
-__all__ = ["METHODS", "SLOW_METHODS", "NetworkAlone", "named_estimators"]
+__all__ = ["METHODS", "SLOW_METHODS", "NetworkAlone", "named_estimators", "split_weights"]
 
 SLOW_METHODS = ("selfdeblur", "blinddps")
 """Hours per photo on a CPU: run only where they are named."""
@@ -20,9 +20,9 @@ SLOW_METHODS = ("selfdeblur", "blinddps")
 METHODS = ("pmp", "motdiff", "network", "parametric", "psf-diffusion", *SLOW_METHODS)
 """Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both take one DDIM step where
 none are named), ``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps tells only what
-it needs."""
+it needs. ``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE`` take other weights than the package's."""
 
-_FIXED = ("pmp", "parametric", "psf-diffusion", *SLOW_METHODS)  # which the weights of MoTDiff do not change
+_WITH_WEIGHTS = ("motdiff", "network")
 
 
 class NetworkAlone:
@@ -79,68 +79,62 @@ class NetworkAlone:
         return MotionEstimate("network", (simplest_trajectory(psf),), (1.0,), psf, confidence=0.0)
 
 
-def named_estimators(methods: Sequence[str], weights: Sequence[Path] = ()) -> dict[str, Estimator]:
+def split_weights(method: str) -> tuple[str, Path | None]:
+    """Split ``motdiff@FILE`` or ``network@FILE`` into the method and its file of weights, None where none is named."""
+    name, at, file = method.partition("@")
+    return (name, Path(file)) if at and name.split(":")[0] in _WITH_WEIGHTS else (method, None)
+
+
+def named_estimators(methods: Sequence[str]) -> dict[str, Estimator]:
     """Make estimators by name.
 
     Parameters
     ----------
     methods : sequence of names in :data:`METHODS`, or of ``module:name``, see
         :func:`motdiff.estimators.base.load_estimator`
-    weights : sequence of files
-        One estimator for each, named by the file's stem; none: the weights of the package.
 
     Returns
     -------
-    dict from the name in the table to the estimator, in the order asked for
+    dict from the name to the estimator, in the order asked for
 
     Raises
     ------
     ValueError
-        If a method is unknown, two have one name, or there are weights and no "motdiff".
+        If a method is unknown.
     FileNotFoundError
         If a file of weights is missing.
     """
-    own = [name for name in methods if name.split(":")[0] not in METHODS]
-    if unknown := [name for name in own if not is_reference(name)]:
-        raise ValueError(f"method: must be one of {', '.join(METHODS)}, or module:name, got {unknown[0]!r}")
-    if weights and {name.split(":")[0] for name in methods if name not in own} <= set(_FIXED):
-        raise ValueError("weights: are for the methods motdiff and network, which were not asked for")
-    if missing := [path for path in weights if not path.is_file()]:
-        raise FileNotFoundError(f"{missing[0]}: no such file of weights")
-    named: list[tuple[str, Estimator]] = []
-    for method in dict.fromkeys(methods):
-        if method in own:
-            named.append((method, load_estimator(method)))
-            continue
-        if method in _FIXED or method.split(":")[0] in ("psf-diffusion", *SLOW_METHODS):
-            named.append((method, _fixed(method)))
-            continue
-        for path in weights or (None,):
-            name = method if path is None else path.stem if method == "motdiff" else f"{path.stem} {method}"
-            named.append((name, _of_network(method, path)))
-    estimators = dict(named)
-    if len(estimators) < len(named):
-        raise ValueError(f"weights: need different file names, the tables would show {[name for name, _ in named]}")
-    return estimators
+    return {method: _named(method) for method in methods}
 
 
-def _fixed(method: str) -> Estimator:
-    name, _, option = method.partition(":")
-    if name == "selfdeblur":
-        return _selfdeblur(option)
-    if name == "blinddps":
-        from motdiff.baselines.blinddps import BlindDpsEstimator
+def _named(method: str) -> Estimator:
+    name, weights = split_weights(method)
+    kind = name.split(":")[0]
+    if kind not in METHODS:
+        if not is_reference(method):
+            raise ValueError(f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}")
+        return load_estimator(method)
+    if weights is not None and not weights.is_file():
+        raise FileNotFoundError(f"{weights}: no such file of weights")
+    if name == "pmp":
+        from motdiff.estimators.pmp import PmpEstimator
 
-        return BlindDpsEstimator(option or None)
-    if method == "parametric":
+        return PmpEstimator()
+    if name == "parametric":
         from motdiff.baselines.parametric import ParametricEstimator
 
         return ParametricEstimator()
-    if name == "psf-diffusion":
-        return _psf_diffusion(option)
-    from motdiff.estimators.pmp import PmpEstimator
+    option = name.partition(":")[2]
+    match kind:
+        case "selfdeblur":
+            return _selfdeblur(option)
+        case "blinddps":
+            from motdiff.baselines.blinddps import BlindDpsEstimator
 
-    return PmpEstimator()
+            return BlindDpsEstimator(option or None)
+        case "psf-diffusion":
+            return _psf_diffusion(option)
+    return _of_network(name, weights)
 
 
 def _psf_diffusion(steps: str) -> Estimator:

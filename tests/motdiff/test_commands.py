@@ -341,7 +341,6 @@ def test_a_loss_that_is_not_finite_is_a_failure(photos, motdiff, monkeypatch):
         ("export", "none", "-o", "OUT.safetensors"),
         ("sample", "none.png", "-o", "OUT.png"),
         ("prepare", "none.toml", "-o", "OUT"),
-        ("eval", "--set", "paper", "--photos", "none", "-o", "OUT"),
         ("train", "run.toml", "-o", "OUT"),
     ],
     ids=lambda arguments: arguments[0],

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cep.bench.blind.protocol import Protocol
 from cep.bench.datasets import crop, koehler_pairs, layout_of, pick, rsblur_pairs
 from cep.io.images import read_image
+from motdiff.crops import luminance
 from motdiff.evaluation.sets import Case, levin_photo
 from motdiff.simulate import border_px, photograph, visible
 from motdiff.trajectory import Trajectory
@@ -28,24 +29,40 @@ class Shot:
 
     Attributes
     ----------
-    crop_px, psf_px, borders, gamma, read_noise_e
+    crop_px, psf_px, borders, gamma, grey
         As of :class:`cep.bench.blind.protocol.Protocol`.
     photons : float or None
-        Photo-electrons of full scale; None: no noise.
+        Photo-electrons of full scale; None: no photon noise.
+    read_sigma : float
+        Standard deviation of the read noise, full scale 1.
     crop_seed, noise_seed : tuple of int
+    generator : mapping, optional
+        State of the generator that draws both, instead of the seeds.
     """
 
     crop_px: int
     psf_px: int
     borders: Literal["symmetric", "real"]
     gamma: Literal["linear", "srgb"]
+    grey: bool
     photons: float | None
-    read_noise_e: float
+    read_sigma: float
     crop_seed: tuple[int, ...]
     noise_seed: tuple[int, ...]
+    generator: Mapping[str, Any] | None = None
+
+    def generators(self) -> tuple[np.random.Generator, np.random.Generator]:
+        """Make the generators of the crop and of the noise."""
+        if self.generator is None:
+            return np.random.default_rng(self.crop_seed), np.random.default_rng(self.noise_seed)
+        both = np.random.default_rng()
+        both.bit_generator.state = self.generator
+        return both, both
 
 
-def shot_of(protocol: Protocol, label: str, motion: int, photons: float | None) -> Shot:
+def shot_of(
+    protocol: Protocol, label: str, motion: int, photons: float | None, generator: Mapping[str, Any] | None = None
+) -> Shot:
     """Return the settings of photo ``label`` with a motion in a protocol; independent of other photos and motions."""
     name = tuple(label.encode())
     return Shot(
@@ -53,10 +70,12 @@ def shot_of(protocol: Protocol, label: str, motion: int, photons: float | None) 
         protocol.psf_px,
         protocol.borders,
         protocol.gamma,
+        protocol.grey,
         photons,
-        protocol.read_noise_e,
+        protocol.read_sigma if photons is None else protocol.read_noise_e / photons,
         crop_seed=(protocol.seed, 0, *name),
         noise_seed=(protocol.seed, 1, motion, *name),
+        generator=generator,
     )
 
 
@@ -70,16 +89,18 @@ def make_case(photo: Path, motion: Trajectory, shot: Shot) -> Case:
     """
     psf = motion.psf(shot.psf_px)
     side = shot.crop_px + border_px(shot.borders, shot.psf_px)
-    scene = crop(photo, side, np.random.default_rng(shot.crop_seed), gamma=shot.gamma)
+    of_crop, of_noise = shot.generators()
+    scene = crop(photo, side, of_crop, gamma=shot.gamma)
+    scene = luminance(scene) if shot.grey else scene
     blurred = photograph(
         scene,
         psf,
-        rng=np.random.default_rng(shot.noise_seed),
+        rng=of_noise,
         borders=shot.borders,
         photons_full_scale=shot.photons,
-        read_sigma=0.0 if shot.photons is None else shot.read_noise_e / shot.photons,
+        read_sigma=shot.read_sigma,
     )
-    return Case(photo.stem, blurred, psf, visible(scene, shot.psf_px, borders=shot.borders), motion)
+    return Case(blurred, psf, visible(scene, shot.psf_px, borders=shot.borders), motion)
 
 
 # -- real photos ------------------------------------------------------------------------------------------------------

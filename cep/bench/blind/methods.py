@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from cep.bench.blind.work import CEILINGS, FLOORS
 from cep.jobs.fingerprint import source_version
-from motdiff.evaluation.methods import METHODS, named_estimators
+from motdiff.evaluation.methods import METHODS, named_estimators, split_weights
 from motdiff.io.plugins import is_reference
 from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS, PSF_WEIGHTS
 
@@ -39,8 +39,8 @@ _FOLLOWED = {
 _TAKING = (
     "cep.bench.blind.work",
     "cep.bench.blind.cases",
-    "cep.bench.blind.work",
     "cep.bench.datasets",  # the crop
+    "motdiff.simulate",
     "cep.io.images",  # gamma
     "motdiff.io.decoding",
     "motdiff.threads",  # the one thread
@@ -60,12 +60,16 @@ def select_methods(names: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
     ------
     ValueError
         If a name is not known, comes twice, or its weights are missing.
+    FileNotFoundError
+        If there is no file of the weights that a name has.
     """
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if list(names).count(name) > 1)
+    labels = [label_of(name) for name in names]
+    if len(set(labels)) < len(labels):
+        twice = next(label for label in labels if labels.count(label) > 1)
         raise ValueError(f"methods: every one must come once, {twice} comes twice")
     for name in names:
-        if (path := _weights(name)) is not None and not path.is_file():
+        own = split_weights(name)[1]
+        if own is None and (path := _weights(name)) is not None and not path.is_file():
             raise ValueError(f"methods: {name} has no weights in this package ({path.name} is missing)")
         named_estimators([name])  # refuses an unknown one, and broken weights, before hours of work
     if names:
@@ -87,9 +91,8 @@ def budget_warning(methods: Iterable[str]) -> str | None:
 
 
 def label_of(method: str) -> str:
-    """Label of a method in tables: a folder of weights by its own name, without its path."""
-    folder = _folder(method)
-    return f"{method.partition(':')[0]}:{Path(folder).name}" if folder else method
+    """Label of a method in tables: a file or folder of weights by its own name, without its path."""
+    return _relocated(method, lambda path: path.name)
 
 
 def version_of(method: str) -> str:
@@ -104,7 +107,7 @@ def version_of(method: str) -> str:
     followed, alone = ["motdiff.evaluation.measure"], list(_TAKING)
     if method in (*FLOORS, *CEILINGS):
         return source_version([*followed, "motdiff.evaluation.floors"], alone=alone)
-    first = method.split(":")[0]
+    first = split_weights(method)[0].split(":")[0]
     own = first not in METHODS and is_reference(method)
     followed.append(first if own else _FOLLOWED.get(first, f"motdiff.estimators.{first}"))
     weights = _weights(method)
@@ -116,7 +119,8 @@ def version_of(method: str) -> str:
 
 
 def _weights(method: str) -> Path | None:
-    return _WEIGHTS.get(method.split(":")[0])
+    name, own = split_weights(method)
+    return own or _WEIGHTS.get(name.split(":")[0])
 
 
 def _folder(method: str) -> str:
@@ -125,6 +129,13 @@ def _folder(method: str) -> str:
 
 
 def _found_from_anywhere(method: str) -> str:
-    """Absolute form of a method with a folder of weights: workers may have another current folder."""
+    """Absolute form of a method with weights of its own: workers may have another current folder."""
+    return _relocated(method, lambda path: str(path.absolute()))
+
+
+def _relocated(method: str, place: Callable[[Path], str]) -> str:
+    name, file = split_weights(method)
+    if file is not None:
+        return f"{name}@{place(file)}"
     folder = _folder(method)
-    return f"{method.partition(':')[0]}:{Path(folder).absolute()}" if folder else method
+    return f"{method.partition(':')[0]}:{place(Path(folder))}" if folder else method

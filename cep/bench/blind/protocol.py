@@ -16,10 +16,10 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import border_px
 from motdiff.trajectory import Trajectory
 
-__all__ = ["NAMES", "Motions", "Protocol", "drawn_shakes", "synthetic_trace"]
+__all__ = ["NAMES", "Motions", "Protocol", "drawn_shakes", "paired_shakes", "synthetic_trace"]
 
 
-NAMES = ("paper", "ours")
+NAMES = ("paper", "ours", "card-walks", "card-gyro")
 """Protocols of the package."""
 
 _FOLDER = Path(__file__).parent
@@ -68,7 +68,8 @@ class Protocol:
     ----------
     name : str
     photos, motions : int
-        Every photo is taken with every motion.
+    pairs : {"all", "each"}
+        Every photo is taken with every motion, or motion i with photo i alone (the photos come again in turns).
     crop_px : int, px
         Side of the photos taken.
     psf_px : int, px
@@ -83,6 +84,10 @@ class Protocol:
         Light levels: photo-electrons at full scale. Without one there is no noise.
     read_noise_e : float, electrons
         Standard deviation of the read noise at every level.
+    read_sigma : float
+        Standard deviation of the noise without light levels, full scale 1.
+    grey : bool
+        Photos of one channel, the mean of the three.
     seed : int
     motion : Motions
     """
@@ -90,6 +95,7 @@ class Protocol:
     name: str
     photos: int
     motions: int
+    pairs: Literal["all", "each"] = "all"
     crop_px: int = 256
     psf_px: int = PSF_PX
     real_photos: int = 100
@@ -97,6 +103,8 @@ class Protocol:
     gamma: Literal["linear", "srgb"] = "linear"
     light_photons: tuple[float, ...] = ()
     read_noise_e: float = 0.0
+    read_sigma: float = 0.0
+    grey: bool = False
     seed: int = 0
     motion: Motions = field(default_factory=Motions)
 
@@ -111,6 +119,10 @@ class Protocol:
         ):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name}: must lie within {low}..{high}, got {getattr(self, name)}")
+        if self.pairs not in ("all", "each"):
+            raise ValueError(f'pairs: must be "all" or "each", got {self.pairs!r}')
+        if self.pairs == "each" and self.psf_px != PSF_PX:
+            raise ValueError(f'psf_px: must be {PSF_PX} px with pairs = "each", got {self.psf_px}')
         if self.borders not in ("symmetric", "real"):
             raise ValueError(f'borders: must be "symmetric" or "real", got {self.borders!r}')
         if self.gamma not in ("linear", "srgb"):
@@ -123,6 +135,10 @@ class Protocol:
             raise ValueError(f"read_noise_e: must lie within 0..1e4 electrons, got {self.read_noise_e}")
         if self.read_noise_e > 0 and not self.light_photons:
             raise ValueError("read_noise_e: needs light_photons, the electrons of full scale")
+        if not 0 <= self.read_sigma <= 1:
+            raise ValueError(f"read_sigma: must lie within 0..1, got {self.read_sigma}")
+        if self.read_sigma > 0 and self.light_photons:
+            raise ValueError("read_sigma: not valid with light_photons, whose noise is read_noise_e")
 
     @property
     def least_px(self) -> int:
@@ -131,7 +147,7 @@ class Protocol:
 
     @property
     def levels(self) -> tuple[float | None, ...]:
-        """Light levels, a single None where there is no noise."""
+        """Light levels, a single None where the noise depends on no light."""
         return self.light_photons or (None,)
 
     @classmethod
@@ -154,7 +170,7 @@ class Protocol:
         known = str(name_or_path) in NAMES
         path = _FOLDER / f"{name_or_path}.toml" if known else Path(name_or_path)
         if path.suffix != ".toml":
-            raise ValueError(f"protocol: must be {' or '.join(NAMES)}, or a .toml file, got {str(name_or_path)!r}")
+            raise ValueError(f"protocol: must be {', '.join(NAMES)}, or a .toml file, got {str(name_or_path)!r}")
         table = read_toml(path)
         try:
             return _read(path.stem, table, quick=quick)
@@ -194,7 +210,7 @@ def _typed(values: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any
         kind = str(known[key].type)
         number = isinstance(value, int | float) and not isinstance(value, bool)
         numbers = isinstance(value, list) and all(type(item) in (int, float) for item in value)
-        if kind == "int" and type(value) is int:
+        if kind in ("int", "bool") and type(value).__name__ == kind:
             typed[key] = value
         elif kind == "float" and number:
             typed[key] = float(value)
@@ -208,6 +224,7 @@ def _typed(values: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any
 
 
 _TRIES = 100
+_PAIRS, _OTHER_PAIRS = 0x6576616C, 0x6D65616E  # streams, apart from those of a training run of the same seed
 _DURATION_S, _RATE_HZ, _RATE_RAD_S = 60.0, 200.0, 0.1
 _LOW_HZ, _FALL_HZ = 0.5, 4.0
 
@@ -233,6 +250,54 @@ def drawn_shakes(protocol: Protocol, trace: GyroTrace | None = None, *, stream: 
     return tuple(
         _drawn(protocol, trace, np.random.default_rng([protocol.seed, stream, i])) for i in range(protocol.motions)
     )
+
+
+def paired_shakes(
+    protocol: Protocol, trace: GyroTrace | None = None, *, others: int = 0
+) -> tuple[tuple[Trajectory, Mapping[str, Any]], ...]:
+    """Draw the motions of a protocol whose photos have one motion each, and the generator of each photo.
+
+    One generator draws a motion, then the crop and the noise of its photo. The figures of the weights' cards are of
+    such photos.
+
+    Parameters
+    ----------
+    protocol : Protocol
+    trace : GyroTrace, optional
+        Recording for the hand shake; :func:`synthetic_trace` when omitted.
+    others : int
+        So many motions of an independent stream instead, where it is not 0.
+
+    Returns
+    -------
+    tuple of (Trajectory, state of the generator after the motion)
+
+    Raises
+    ------
+    ValueError
+        If no drawn motion fits the frame, or the recording is too short or too still.
+    """
+    from motdiff.training.motion_bank import MotionMix, draw_motion
+
+    wanted = protocol.motion
+    low_px, high_px = wanted.extent_px
+    mix = MotionMix(
+        boracchi_foi=wanted.boracchi_foi,
+        gyro=wanted.gyro,
+        max_length_px=wanted.max_length_px,
+        min_length_px=min(MotionMix.min_length_px, wanted.max_length_px),
+        min_extent_px=low_px,
+        max_extent_px=high_px,
+        exposure_s=wanted.exposure_s,
+        gyro_trace="trace",  # is given to draw_motion
+    )
+    if trace is None and wanted.gyro > 0:
+        trace = synthetic_trace()
+    drawn = []
+    for i in range(others or protocol.motions):
+        rng = np.random.default_rng([_OTHER_PAIRS if others else _PAIRS, protocol.seed, i])
+        drawn.append((draw_motion(mix, rng, trace), rng.bit_generator.state))
+    return tuple(drawn)
 
 
 def synthetic_trace(seed: int = 0) -> GyroTrace:

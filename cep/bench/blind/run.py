@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from cep.bench.blind.cases import RealPhoto, check_real, real_photos, shot_of
 from cep.bench.blind.methods import budget_warning, label_of, version_of
-from cep.bench.blind.protocol import Protocol, drawn_shakes
+from cep.bench.blind.protocol import Protocol, drawn_shakes, paired_shakes
 from cep.bench.blind.work import CEILINGS, FLOORS, measure_levin, measure_real, measure_simulated
 from cep.bench.datasets import BUNDLED_WARNING, Layout, bundled_photos, labels_of, layout_of, photo_folder, pick
 from cep.jobs.cells import Cell
 from motdiff.evaluation.floors import mean_psf
 from motdiff.gyro import GyroTrace
+from motdiff.trajectory import Trajectory
 
 __all__ = ["Plan", "blind_plan", "one_cell_each"]
 
@@ -103,13 +105,23 @@ def _of_real(protocol: Protocol, methods: Sequence[str], layout: Layout, photos:
 
 
 def _of_sharp(protocol: Protocol, methods: Sequence[str], folder: Path | None, trace: GyroTrace | None) -> Plan:
-    listed = bundled_photos() if folder is None else photo_folder(folder)
-    photos = pick(listed, protocol.photos, least_px=protocol.least_px)
-    motions = drawn_shakes(protocol, trace)
-    others = drawn_shakes(replace(protocol, motions=_OTHERS), trace, stream=_OTHER_STREAM)
+    found = bundled_photos() if folder is None else photo_folder(folder)
+    photos = pick(found, protocol.photos, least_px=protocol.least_px)
+    listed = tuple(zip(labels_of(photos), photos, strict=True))
+    if protocol.pairs == "each":
+        taken: list[tuple[str, Path, int, Trajectory, Mapping[str, Any] | None]] = [
+            (*listed[index % len(listed)], index, motion, generator)
+            for index, (motion, generator) in enumerate(paired_shakes(protocol, trace))
+        ]
+        others = tuple(motion for motion, _ in paired_shakes(protocol, trace, others=_OTHERS))
+    else:
+        motions = drawn_shakes(protocol, trace)
+        taken = [(*item, index, motion, None) for index, motion in enumerate(motions) for item in listed]
+        others = drawn_shakes(replace(protocol, motions=_OTHERS), trace, stream=_OTHER_STREAM)
     mean = mean_psf([motion.psf(protocol.psf_px) for motion in others])
     versions = {method: version_of(method) for method in (*FLOORS, *methods, *CEILINGS)}
-    lights = {level: "no noise" if level is None else f"{level:g} photo-electrons" for level in protocol.levels}
+    noise = f"noise {protocol.read_sigma:g}" if protocol.read_sigma else "no noise"
+    lights = {level: noise if level is None else f"{level:g} photo-electrons" for level in protocol.levels}
     cells = [
         Cell(
             (label_of(method), label, f"{index:04d}", lights[level]),
@@ -118,14 +130,13 @@ def _of_sharp(protocol: Protocol, methods: Sequence[str], folder: Path | None, t
                 "method": method,
                 "photo": photo,
                 "motion": motion,
-                "shot": shot_of(protocol, label, index, level),
+                "shot": shot_of(protocol, label, index, level, generator),
                 "mean": mean if method == "mean-kernel" else None,
             },
             version=version,
         )
         for level in lights
-        for index, motion in enumerate(motions)
-        for label, photo in zip(labels_of(photos), photos, strict=True)
+        for label, photo, index, motion, generator in taken
         for method, version in versions.items()
     ]
     warnings = []

@@ -9,8 +9,7 @@ import gc
 import math
 import time
 import zlib
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -69,7 +68,7 @@ def measure_simulated(
 
     Returns
     -------
-    dict of the figures of :class:`motdiff.evaluation.measure.Row`, ``wall_s``, ``memory_mib`` and ``psf`` as a text
+    dict of :data:`motdiff.evaluation.measure.FIGURES`, ``wall_s``, ``memory_mib`` and ``psf`` as a text
 
     Raises
     ------
@@ -107,7 +106,7 @@ def measure_real(
         RealPhoto("", "", blurred, sharp), crop_px=crop_px, gamma=gamma, crop_seed=tuple(crop_seed)
     )
     known = floors().get(method)
-    case = Case(blurred.stem, photo, floors()["delta"])
+    case = Case(photo, floors()["delta"])
     with one_thread():
         figures = _of_estimator(method, case, restore=False) if known is None else {"psf": psf_to_text(known)}
         # figures that need a true kernel
@@ -154,7 +153,7 @@ def _measured(method: str, case: Case, mean: FloatArray | None) -> dict[str, Fig
         psf = _known(method, case, mean)
         if psf is None:
             return _of_estimator(method, case, restore=True)
-        return _figures(measure_psf("", case, method, psf))
+        return _figures(measure_psf(case, psf))
 
 
 def _known(method: str, case: Case, mean: FloatArray | None) -> FloatArray | None:
@@ -175,20 +174,14 @@ def _best_quadratic(t: bytes, xy: bytes) -> FloatArray:
 
 def _of_estimator(method: str, case: Case, *, restore: bool) -> dict[str, Figure]:
     watched = TimedEstimator(_estimator(method))
-    measured = measure_estimator("", case, method, watched, restore=restore)
-    if measured.row.failure:
-        raise ValueError(measured.row.failure)
+    measured = measure_estimator(case, watched, restore=restore)
     return {**_figures(measured), "wall_s": watched.wall_s, "memory_mib": watched.memory_mib}
 
 
 def _figures(measured: Measured) -> dict[str, Figure]:
-    row = asdict(measured.row)
-    assert measured.psf is not None
-    return {**_numbers((name, row[name]) for name in FIGURES), "psf": psf_to_text(measured.psf)}
-
-
-def _numbers(pairs: Iterable[tuple[str, float]]) -> dict[str, Figure]:
-    return {name: None if math.isnan(value) else value for name, value in pairs}
+    values = {name: getattr(measured, name) for name in FIGURES}
+    known = {name: None if math.isnan(value) else value for name, value in values.items()}
+    return {**known, "psf": psf_to_text(measured.psf)}
 
 
 _CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")

@@ -10,7 +10,7 @@ from scipy.io import savemat
 from cep.bench.blind import report
 from cep.bench.blind.cases import make_case, real_pair, real_photos, shot_of
 from cep.bench.blind.methods import SMALL_BUDGETS, budget_warning, label_of, select_methods, version_of
-from cep.bench.blind.protocol import Motions, Protocol, drawn_shakes, synthetic_trace
+from cep.bench.blind.protocol import Motions, Protocol, drawn_shakes, paired_shakes, synthetic_trace
 from cep.bench.blind.report import blind_tables, cells_csv
 from cep.bench.blind.run import blind_plan, one_cell_each
 from cep.bench.blind.work import (
@@ -62,6 +62,15 @@ def test_ours_has_real_borders_and_five_light_levels():
     assert ours.read_noise_e > 0
 
 
+def test_the_cards_protocols_give_every_photo_one_motion():
+    walks, gyro = (Protocol.load(f"card-{name}") for name in ("walks", "gyro"))
+    assert (walks.pairs, gyro.pairs, walks.motions, gyro.motions) == ("each", "each", 16, 16)
+    assert (walks.borders, walks.read_sigma, gyro.borders, gyro.read_sigma) == ("symmetric", 0.0, "real", 0.01)
+    assert (walks.motion, gyro.motion) == (Motions(), Motions(0.0, 1.0))
+    assert walks.grey
+    assert gyro.grey
+
+
 def test_a_protocol_of_ones_own_is_a_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(
@@ -88,6 +97,11 @@ def test_a_protocol_of_ones_own_is_a_file(tmp_path):
         ("photos = 3\nmotions = 2\nlight_photons = 9", "light_photons: must be of the type"),
         ("photos = 3\nmotions = 2\nread_noise_e = 3", "read_noise_e: needs light_photons"),
         ("photos = 3\nmotions = 2\nlight_photons = [9]\nread_noise_e = -1", "read_noise_e: must lie within"),
+        ("photos = 3\nmotions = 2\nread_sigma = 2", "read_sigma: must lie within"),
+        ("photos = 3\nmotions = 2\nread_sigma = 0.1\nlight_photons = [9]", "read_sigma: not valid with light_photons"),
+        ("photos = 3\nmotions = 2\ngrey = 1", "grey: must be of the type bool, got 1"),
+        ("photos = 3\nmotions = 2\npairs = 'some'", "pairs: must be"),
+        ("photos = 3\nmotions = 2\npairs = 'each'\npsf_px = 32", "psf_px: must be 64 px"),
         ("photos = 3\nmotions = 2\nmotion = 3", "motion: must be a section"),
         ("photos = 3\nmotions = 2\n[motion]\nboracchi_foi = 0", "boracchi_foi and gyro: must be shares"),
         ("photos = 3\nmotions = 2\n[motion]\nmax_length_px = 0", "max_length_px: must lie within"),
@@ -107,7 +121,9 @@ def test_what_is_wrong_in_a_protocol_is_named(tmp_path, text, message):
 
 
 def test_an_unknown_protocol_is_named():
-    with pytest.raises(ValueError, match=r"protocol: must be paper or ours, or a \.toml file, got 'theirs'"):
+    with pytest.raises(
+        ValueError, match=r"protocol: must be paper, ours, card-walks, card-gyro, or a \.toml file, got 'theirs'"
+    ):
         Protocol.load("theirs")
     with pytest.raises(FileNotFoundError):
         Protocol.load("nowhere.toml")
@@ -129,6 +145,43 @@ def test_hand_shake_has_the_extent_that_was_asked_for():
     shaken = drawn_shakes(replace(TINY, motions=6, motion=Motions(0.0, 1.0, extent_px=(10.0, 12.0))))
     assert all(10 - 1e-9 <= motion.extent_px <= 12 + 1e-9 for motion in shaken)
     assert synthetic_trace().rate_rad_s.std() == pytest.approx(0.1)
+
+
+EACH = Protocol("each", 2, 5, pairs="each", crop_px=96, read_sigma=0.02, motion=Motions(max_length_px=30.0))
+
+
+def test_with_one_motion_each_photos_come_in_turns(tmp_path, monkeypatch):
+    monkeypatch.setattr("cep.bench.blind.run._OTHERS", 3)
+    for name in ("a.png", "b.png"):
+        write_image(tmp_path / name, np.random.default_rng(0).random((100, 100)))
+    plan = blind_plan(EACH, ["pmp"], folder=tmp_path)
+    mine = [cell for cell in plan.cells if cell.name[0] == "pmp"]
+    assert [cell.name[1:] for cell in mine] == [(label, f"{i:04d}", "noise 0.02") for i, label in enumerate("ababa")]
+    assert len({cell.arguments["motion"].xy.tobytes() for cell in mine}) == 5
+    assert report._counts(plan) == "2 photos, 5 motions, 5 pairs of them"
+
+
+def test_one_generator_draws_motion_crop_and_noise(scene):
+    """Case i depends on the seed and i only, and a colour photo may be taken in grey."""
+    few, many = paired_shakes(replace(EACH, motions=2)), paired_shakes(EACH)
+    assert all(motion.length_px == pytest.approx(30) for motion, _ in many)
+    for (one, state), (other, same_state) in zip(few, many[:2], strict=True):
+        np.testing.assert_array_equal(one.xy, other.xy)
+        assert state == same_state
+    for elsewhere in (paired_shakes(replace(EACH, seed=1)), paired_shakes(EACH, others=2)):
+        assert not np.array_equal(few[0][0].xy, elsewhere[0][0].xy)
+    protocol = replace(EACH, grey=True)
+    cases = [make_case(scene, motion, shot_of(protocol, "scene", 0, None, state)) for motion, state in (few[0], *few)]
+    np.testing.assert_array_equal(cases[0].photo, cases[1].photo)
+    assert not np.array_equal(cases[0].sharp, cases[2].sharp)
+    noise = cases[0].photo - blur_symmetric(cases[0].sharp, cases[0].psf)
+    assert cases[0].photo.shape == (96, 96)
+    assert noise.std() == pytest.approx(0.02, rel=0.05)
+
+
+def test_hand_shake_of_one_motion_each_has_the_extent_that_was_asked_for():
+    shaken = paired_shakes(replace(EACH, motion=Motions(0.0, 1.0, extent_px=(10.0, 12.0))))
+    assert all(10 - 1e-9 <= motion.extent_px <= 12 + 1e-9 for motion, _ in shaken)
 
 
 def test_motions_that_cannot_fit_are_refused():
@@ -370,6 +423,22 @@ def test_a_folder_of_weights_counts_by_its_content_and_is_named_without_its_plac
     first = version_of(method)
     (tmp_path / "priors" / "image.pt2").write_bytes(b"2")
     assert version_of(method) != first
+
+
+def test_a_file_of_weights_counts_by_its_content_and_is_named_without_its_place(tmp_path, monkeypatch):
+    file = tmp_path / "run.safetensors"
+    file.write_bytes(b"1")
+    method = f"network:ddim:10@{file}"
+    assert label_of(method) == "network:ddim:10@run.safetensors"
+    first = version_of(method)
+    assert first != version_of("network:ddim:10")
+    file.write_bytes(b"2")
+    assert version_of(method) != first
+    monkeypatch.setattr("cep.bench.blind.methods.named_estimators", lambda _: {})
+    monkeypatch.chdir(tmp_path)
+    assert select_methods(["motdiff@run.safetensors"]) == ((f"motdiff@{file}",), [])
+    with pytest.raises(ValueError, match=r"every one must come once, motdiff@run\.safetensors comes twice"):
+        select_methods(["motdiff@run.safetensors", f"motdiff@{file}"])
 
 
 def test_methods_are_checked_before_the_work(monkeypatch, tmp_path):

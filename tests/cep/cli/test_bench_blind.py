@@ -339,7 +339,7 @@ def text_file(_studio):
         (("--methods", "guess"), None, "--methods: must be one of"),
         (("--methods", "pmp,pmp"), None, "pmp comes twice"),
         (("--methods", "network:euler"), None, "network:euler"),
-        (("--protocol", "theirs"), None, "protocol: must be paper or ours"),
+        (("--protocol", "theirs"), None, "protocol: must be paper, ours"),
         (("--protocol", "nowhere.toml"), None, "nowhere.toml"),
         (("--gyro", "nowhere.txt"), None, "--gyro: the protocol tiny has no hand shake"),
         (("--protocol", "ours", "--gyro", "nowhere.txt"), None, "nowhere.txt"),

@@ -179,19 +179,19 @@ def test_processor_time_before_a_stop_counts(tmp_path, monkeypatch):
 
         return SelfDeblurEstimator(config=QUICK, checkpoints=tmp_path, saved_every_s=0.0, progress=progress)
 
-    case = Case("a", PHOTO, np.pad(PSF, 2))
+    case = Case(PHOTO, np.pad(PSF, 2))
     for stop in (2, 5):
         with pytest.raises(KeyboardInterrupt):
-            measure_estimator("s", case, "m", ticking(stop), restore=False)
+            measure_estimator(case, ticking(stop), restore=False)
         now[0] += 1000.0  # another process
     # the save at iteration 2 has 7 s, that at iteration 5 two times 7 s more
     estimate = ticking().estimate(PHOTO)
     assert estimate.details["earlier_cpu_s"] == 7 + 14
-    whole = measure_estimator("s", case, "m", ticking(), restore=False).row.cpu_s
+    whole = measure_estimator(case, ticking(), restore=False).cpu_s
     assert whole == 6 * 7
     with pytest.raises(KeyboardInterrupt):
         ticking(4).estimate(PHOTO)
-    assert measure_estimator("s", case, "m", ticking(), restore=False).row.cpu_s == (3 + 2) * 7
+    assert measure_estimator(case, ticking(), restore=False).cpu_s == (3 + 2) * 7
 
 
 def test_a_fit_of_another_code_is_not_taken_up(tmp_path, monkeypatch):
@@ -279,5 +279,3 @@ def test_slow_methods_are_there_by_name_alone(tmp_path, monkeypatch):
     assert made["selfdeblur"]._checkpoints == tmp_path / "motdiff" / "selfdeblur"
     with pytest.raises(ValueError, match="selfdeblur or selfdeblur:ITERATIONS, got 'selfdeblur:many'"):
         named_estimators(["selfdeblur:many"])
-    with pytest.raises(ValueError, match="weights: are for the methods motdiff and network"):
-        named_estimators(["selfdeblur:2"], [tmp_path / "w.safetensors"])

@@ -634,15 +634,16 @@ def test_other_names_are_refused(oracle_weights, name):
         named_estimators([name])
 
 
-def test_files_of_the_network_alone_are_rows_of_their_own(oracle_weights, tmp_path):
-    files = [tmp_path / "small.safetensors", tmp_path / "large.safetensors"]
-    for file in files:
-        file.touch()
-    assert list(named_estimators(["network", "network:ddpm:4"], files)) == [
-        "small network",
-        "large network",
-        "small network:ddpm:4",
-        "large network:ddpm:4",
-    ]
-    with pytest.raises(ValueError, match=r"^weights: are for the methods motdiff and network"):
-        named_estimators(["pmp"], files)
+def test_a_method_may_name_its_file_of_weights(oracle_weights, monkeypatch, tmp_path):
+    taken = []
+    monkeypatch.setattr("motdiff.evaluation.methods.NetworkAlone", lambda weights, **_: taken.append(weights))
+    monkeypatch.setattr("motdiff.estimators.motdiff.MotDiffEstimator", lambda *, weights: taken.append(weights))
+    file = tmp_path / "run 2.safetensors"
+    file.touch()
+    names = [f"network@{file}", f"network:ddpm:4@{file}", f"motdiff@{file}", "motdiff"]
+    assert list(named_estimators(names)) == names
+    assert taken == [file, file, file, None]
+    with pytest.raises(FileNotFoundError, match=r"none\.safetensors: no such file of weights"):
+        named_estimators([f"network:ddim:1@{tmp_path / 'none.safetensors'}"])
+    with pytest.raises(ValueError, match="method: must be one of"):
+        named_estimators([f"pmp@{file}"])
