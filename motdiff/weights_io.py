@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from safetensors import SafetensorError, safe_open
 
@@ -13,7 +14,7 @@ from motdiff.io.inputs import one_line, regular_file
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-__all__ = ["fill", "halved", "read_header", "read_tensors"]
+__all__ = ["fill", "halved", "read_card", "read_header", "read_tensors"]
 
 
 def read_header(path: Path | str) -> dict[str, str]:
@@ -29,6 +30,25 @@ def read_header(path: Path | str) -> dict[str, str]:
             return dict(file.metadata() or {})
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path}: cannot be read as weights: {one_line(error)}") from error
+
+
+def read_card(path: Path | str, schema: str) -> dict[str, Any]:
+    """Read the JSON object that the header of a weights file holds under the name of its schema.
+
+    Raises
+    ------
+    ValueError
+        If the file is of another schema.
+    """
+    header = read_header(path)
+    if schema not in header:
+        found = one_line(", ".join(sorted(header)) or "nothing")
+        raise ValueError(f"{path}: is no {schema} file, its header has {found}")
+    try:
+        card: dict[str, Any] = json.loads(header[schema])
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: its header is not whole: {one_line(error)}") from error
+    return card
 
 
 def halved(state: Mapping[str, Tensor], *, source: Path | str) -> dict[str, Tensor]:

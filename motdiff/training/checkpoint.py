@@ -45,6 +45,10 @@ class Checkpoint:
     config: Mapping[str, object]
     seconds: float = 0.0
 
+    def part(self, prefix: str) -> dict[str, Tensor]:
+        """Tensors whose names begin with ``prefix``, by the rest of their names."""
+        return {name.removeprefix(prefix): t for name, t in self.tensors.items() if name.startswith(prefix)}
+
 
 def write_checkpoint(folder: Path | str, checkpoint: Checkpoint) -> None:
     """Write a checkpoint as ``index.json`` and ``part_*.safetensors`` of at most 15 MiB (or one tensor).

@@ -163,17 +163,12 @@ class Trainer:
         checkpoint = read_checkpoint(folder, device=self.device)
         if checkpoint is None:
             return False
-
-        def part(prefix: str) -> dict[str, Tensor]:
-            begin = len(prefix)
-            return {name[begin:]: value for name, value in checkpoint.tensors.items() if name.startswith(prefix)}
-
         try:
-            self.network.load_state_dict(part("model."))
-            self.average.load_state_dict(part("ema."))
+            self.network.load_state_dict(checkpoint.part("model."))
+            self.average.load_state_dict(checkpoint.part("ema."))
         except RuntimeError as error:
             raise ValueError(f"{folder}: its checkpoint belongs to a network of another configuration") from error
-        first, second = part("adam.exp_avg."), part("adam.exp_avg_sq.")
+        first, second = checkpoint.part("adam.exp_avg."), checkpoint.part("adam.exp_avg_sq.")
         for name, parameter in self.network.named_parameters():
             if name in first:
                 self._adam.state[parameter] = {

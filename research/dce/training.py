@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import math
 import time
-from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -146,13 +145,12 @@ class Trainer:
         if (settings := asdict(self.settings)) != found.config:
             name = next(name for name in settings if settings[name] != found.config.get(name))
             raise ValueError(f"{name}: the run in {folder} has {found.config.get(name)!r}, got {settings[name]!r}")
-        part = _parts(found.tensors)
-        self.network.load_state_dict(part("model."))
+        self.network.load_state_dict(found.part("model."))
         with torch.no_grad():
             self.weights.copy_(found.tensors["code"])
         for kind, adam in (("adam.", self._adam), ("code_adam.", self._code_adam)):
             state: dict[int, dict[str, Tensor]] = {}
-            for name, value in part(kind).items():
+            for name, value in found.part(kind).items():
                 number, entry = name.split(".", 1)
                 state.setdefault(int(number), {})[entry] = value
             adam.load_state_dict({"state": state, "param_groups": adam.state_dict()["param_groups"]})
@@ -217,10 +215,3 @@ def _log(path: Path, trainer: Trainer, loss: float) -> None:
             writer.writerow(_FIELDS)
         row = (trainer.step, f"{trainer.seconds:.0f}", f"{loss:.5f}", code.open_chips, flips, code.bits)
         writer.writerow(row)
-
-
-def _parts(tensors: Mapping[str, Tensor]) -> Callable[[str], dict[str, Tensor]]:
-    def part(prefix: str) -> dict[str, Tensor]:
-        return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
-
-    return part

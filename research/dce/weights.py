@@ -14,10 +14,11 @@ from safetensors.torch import save
 
 from cep.optics.code import ShutterCode
 from cep.restoration.spectral import channels_first, channels_last
+from motdiff import weights_io
 from motdiff.io.inputs import one_line
 from motdiff.io.outputs import write_bytes
 from motdiff.training.checkpoint import read_checkpoint
-from motdiff.weights_io import fill, halved, read_header
+from motdiff.weights_io import fill, halved
 from research.dce.binarise import code_of
 from research.dce.network import RestorationNetwork
 
@@ -27,8 +28,6 @@ FloatArray = NDArray[np.float64]
 SCHEMA = "cep.dce/1"
 WEIGHTS = Path(__file__).with_name("dce.safetensors")
 """The weights in this folder; their code is :data:`cep.codes.published.DCE_CODE`."""
-
-_MODEL = "model."
 
 
 @dataclass(frozen=True)
@@ -64,15 +63,11 @@ def read_card(path: Path | str = WEIGHTS) -> Card:
     ValueError
         If the file is not one of ours.
     """
-    header = read_header(path)
-    if SCHEMA not in header:
-        found = one_line(", ".join(sorted(header)) or "nothing")
-        raise ValueError(f"{path}: is no {SCHEMA} file, its header has {found}")
+    card = weights_io.read_card(path, SCHEMA)
     try:
-        card = json.loads(header[SCHEMA])
         code, start = ShutterCode(card["bits"]), ShutterCode(card["settings"]["start"])
         return Card(code, start, int(card["steps"]), float(card["seconds"]), dict(card["notes"]))
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: its header is not whole: {one_line(error)}") from error
 
 
@@ -138,8 +133,7 @@ def export_weights(checkpoint: Path | str, target: Path | str, *, notes: Mapping
     found = read_checkpoint(checkpoint)
     if found is None:
         raise ValueError(f"{checkpoint}: holds no checkpoint")
-    state = {name.removeprefix(_MODEL): value for name, value in found.tensors.items() if name.startswith(_MODEL)}
-    tensors = halved(state, source=checkpoint)
+    tensors = halved(found.part("model."), source=checkpoint)
     card = {
         "bits": code_of(found.tensors["code"]).bits,
         "settings": found.config,

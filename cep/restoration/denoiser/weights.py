@@ -14,9 +14,9 @@ from safetensors.torch import save
 from torch import Tensor
 
 from cep.restoration.denoiser.network import DenoisingNetwork
-from motdiff.io.inputs import one_line
+from motdiff import weights_io
 from motdiff.io.outputs import write_bytes
-from motdiff.weights_io import fill, halved, read_header
+from motdiff.weights_io import fill, halved
 
 __all__ = ["SCHEMA", "SHIPPED", "load_denoiser", "read_card", "write_weights"]
 
@@ -47,15 +47,7 @@ def read_card(path: Path | str = SHIPPED) -> dict[str, Any]:
     ValueError
         If the file is not one of ours.
     """
-    header = read_header(path)
-    if SCHEMA not in header:
-        found = one_line(", ".join(sorted(header)) or "nothing")
-        raise ValueError(f"{path}: is no {SCHEMA} file, its header has {found}")
-    try:
-        card: dict[str, Any] = json.loads(header[SCHEMA])
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: its header is not whole: {one_line(error)}") from error
-    return card
+    return weights_io.read_card(path, SCHEMA)
 
 
 def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], FloatArray]:

@@ -19,21 +19,6 @@ from research.dce.weights import SCHEMA, export_weights, load_network, read_card
 TINY = Settings(start="1101000101", batch=2, crop_px=16, rate=2e-3, code_rate=0.02)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
-@pytest.fixture(scope="module")
-def photos():
-    """Two sharp photos of blocks, (3, 100, 110) uint8."""
-    rng = np.random.default_rng(0)
-    return [torch.from_numpy(np.kron(rng.integers(0, 256, (3, 20, 22)), np.ones((5, 5))).astype(np.uint8))] * 2
-
-
 def samples(photos, settings=TINY):
     chips = len(settings.start)
     return Samples(photos, motion_mix(None), chips=chips, crop_px=settings.crop_px, seed=settings.seed)

@@ -17,21 +17,6 @@ from research.denoiser.training import Settings, Trainer, train
 TINY = Settings(batch=2, crop_px=16)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
-@pytest.fixture(scope="module")
-def photos():
-    """Two sharp photos of blocks, (3, 100, 110) uint8."""
-    rng = np.random.default_rng(0)
-    return [torch.from_numpy(np.kron(rng.integers(0, 256, (3, 20, 22)), np.ones((5, 5))).astype(np.uint8))] * 2
-
-
 def clock(step_s):
     times = itertools.count(0.0, step_s)
     return lambda: next(times)
