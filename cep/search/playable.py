@@ -1,4 +1,4 @@
-"""What a device can play: its limits on times as limits on chips, its rise and fall, and what it says of a code."""
+"""Codes that a device can play: its limits on times as limits on chips, its rise and fall, and its check of a code."""
 
 from __future__ import annotations
 
@@ -118,8 +118,8 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tup
 def response_of_device(profile: DeviceProfile, chip_ns: int) -> ShutterResponse | None:
     """Describe how a device's shutter opens and closes around its edges, or None when it does so at once.
 
-    What the device adds to every opening by itself, ``on_bias_ns``, is no part of it: whoever commands the device
-    shortens the openings by as much.
+    The response does not contain ``on_bias_ns``, the time by which the device lengthens every opening. Commands to the
+    device are to be shorter by this time, as those of :mod:`hw.export.camera` are.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Uniform random codes within limits, and the number of such codes.
+"""Uniform random codes within limits.
 
 Without forced chips the codes of k open chips in p pulses are pairs of compositions (k into p runs, the rest into p + 1
 gaps), a closed form. Forced chips, a longest run and a least period need dynamic programming over the walks of
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cep.search.limits import CLOSED, OPEN, OVER, Limits, Step
 
-__all__ = ["draw", "log_count"]
+__all__ = ["draw"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -35,30 +35,9 @@ def draw(limits: Limits, count: int, *, rng: np.random.Generator) -> NDArray[np.
     """
     if _free(limits):
         return _draw_free(limits, count, rng)
-    if _size(limits, counting_pulses=True) <= _MOST_NUMBERS:
+    if _size(limits) <= _MOST_NUMBERS:
         return _walks(limits, True, 0.0).draw(count, rng)
     return _draw_tilted(limits, count, rng)
-
-
-def log_count(limits: Limits) -> float:
-    """Natural logarithm of the number of codes within the limits.
-
-    Raises
-    ------
-    ValueError
-        If the table would be too large; see :func:`draw`.
-
-    Examples
-    --------
-    >>> from cep.search.limits import RunLimits
-    >>> round(np.exp(log_count(Limits(6, (2, 2), RunLimits(min_closed=2)))))  # 1001 010010 ...
-    11
-    """
-    if _free(limits):
-        return float(np.logaddexp.reduce(_free_table(limits), axis=None))
-    if _size(limits, counting_pulses=True) > _MOST_NUMBERS:
-        raise ValueError(f"limits: codes of {limits.chips} chips within these are too many to count")
-    return float(np.logaddexp.reduce(_walks(limits, True, 0.0).by_count))
 
 
 # -- no chip is forced, no pulse's length decides what may follow: compositions -------------------------------------
@@ -207,10 +186,10 @@ def _add(total: FloatArray, ways: FloatArray, opens: int, pulses: int) -> None:
     np.logaddexp(target, ways[:rows, :columns], out=target)
 
 
-def _size(limits: Limits, *, counting_pulses: bool) -> int:
+def _size(limits: Limits) -> int:
+    """Numbers in the table over open chips and pulses."""
     opens = limits.open_range[1] + 1 if limits.counts_opens else 1
-    pulses = (limits.most_pulses or 0) + 1 if counting_pulses else 1
-    return 3 * (limits.chips + 1) * opens * pulses
+    return 3 * (limits.chips + 1) * opens * ((limits.most_pulses or 0) + 1)
 
 
 def _draw_tilted(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
