@@ -1,0 +1,105 @@
+"""OTFs of exposures of one motion through known codes, for many paths at once, with their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import pi
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+__all__ = ["CodedOtfs"]
+
+FloatArray = NDArray[np.float64]
+
+_SMALL = 1e-2  # half phases below this are expanded: sin(h) / h loses digits there
+
+
+class CodedOtfs:
+    """Exact OTFs, normalised to 1 at zero frequency, of paths that are straight between knots evenly spaced in time.
+
+    A straight, uniform piece from a to b that lasts dt has the OTF ``dt exp(-pi i f.(a + b)) sinc(f.(b - a))``, as in
+    :class:`motdiff.trajectory.Trajectory`; an exposure sums those of its open pieces.
+
+    Parameters
+    ----------
+    codes : sequence of str
+        Bits of each exposure's code, played over the whole exposure.
+    knots : int
+    """
+
+    def __init__(self, codes: Sequence[str], knots: int) -> None:
+        at = np.linspace(0, 1, knots)
+        edges = [np.linspace(0, 1, len(code) + 1) for code in codes]
+        cuts = np.unique(np.round(np.concatenate([at, *edges]), 12))
+        middle, lasting = 0.5 * (cuts[1:] + cuts[:-1]), np.diff(cuts)
+        is_open = [np.array(list(code), dtype=np.float64)[(middle * len(code)).astype(np.intp)] for code in codes]
+        light = np.stack(is_open) * lasting
+        self.open_share: FloatArray = light.sum(axis=1)
+        """(I,) open fraction of each code."""
+        # positions at the cuts from those at the knots
+        before = np.minimum((cuts * (knots - 1)).astype(np.intp), knots - 2)
+        share = cuts * (knots - 1) - before
+        mix = np.zeros((cuts.size, knots))
+        mix[np.arange(cuts.size), before] = 1 - share
+        mix[np.arange(cuts.size), before + 1] += share
+        self._aligned = mix.shape[0] == knots  # codes whose chips begin at the knots need no mixing
+        self._mix = torch.tensor(mix, dtype=torch.float32)
+        self._light = torch.tensor(light / self.open_share[:, None], dtype=torch.float32)
+
+    @property
+    def exposures(self) -> int:
+        """Number of exposures, I."""
+        return len(self._light)
+
+    def centroids(self, paths: Tensor) -> Tensor:
+        """Centroids (B, I, 2) of the PSFs of paths (B, K, 2), px."""
+        cuts = self._at_cuts(paths)
+        return torch.einsum("is,bsd->bid", self._light, 0.5 * (cuts[:, 1:] + cuts[:, :-1]))
+
+    def otfs(self, paths: Tensor, shifts: Tensor, frequencies: Tensor) -> Tensor:
+        """OTFs (B, I, F), complex, of paths (B, K, 2) px moved by shifts (B, I, 2) px, at (F, 2) cycles/px."""
+        mean, fade, _ = self._pieces(paths, frequencies)
+        still = torch.complex(
+            torch.einsum("is,bsf->bif", self._light, fade * torch.cos(mean)),
+            -torch.einsum("is,bsf->bif", self._light, fade * torch.sin(mean)),
+        )
+        return still * _phases(shifts, frequencies)
+
+    def with_slopes(self, paths: Tensor, shifts: Tensor, frequencies: Tensor) -> tuple[Tensor, Tensor]:
+        """OTFs, and their derivatives (B, I, F, K), complex, with respect to ``2 pi f.p`` of each knot's position p."""
+        mean, fade, slope = self._pieces(paths, frequencies)
+        cos, sin = torch.cos(mean), torch.sin(mean)
+        moved = _phases(shifts, frequencies)
+        otf = torch.einsum("is,bsf->bif", self._light.to(torch.complex64), torch.complex(fade * cos, -fade * sin))
+        # d/dphase at the piece's start and end: -i/2 T -+ slope/2 exp(-i mean)
+        middle = torch.complex(-0.5 * fade * sin, -0.5 * fade * cos)
+        spread = torch.complex(0.5 * slope * cos, -0.5 * slope * sin)
+        pieces = (
+            self._light[None, :, None] * torch.stack([middle - spread, middle + spread]).transpose(2, 3)[:, :, None]
+        )
+        at_cuts = torch.zeros(*pieces.shape[1:-1], pieces.shape[-1] + 1, dtype=torch.complex64)
+        at_cuts[..., :-1] += pieces[0]
+        at_cuts[..., 1:] += pieces[1]
+        at_knots = at_cuts if self._aligned else at_cuts @ self._mix.to(torch.complex64)
+        return otf * moved, at_knots * moved[..., None]
+
+    def _at_cuts(self, paths: Tensor) -> Tensor:
+        return paths if self._aligned else torch.einsum("uk,bkd->bud", self._mix, paths)
+
+    def _pieces(self, paths: Tensor, frequencies: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Mean phase of each piece, its sinc, and the sinc's derivative, each (B, S, F)."""
+        phase = 2 * pi * (self._at_cuts(paths) @ frequencies.T)
+        mean, half = 0.5 * (phase[:, 1:] + phase[:, :-1]), 0.5 * (phase[:, 1:] - phase[:, :-1])
+        small = half.abs() < _SMALL
+        safe = torch.where(small, torch.ones_like(half), half)
+        fade = torch.where(small, 1 - half**2 / 6, torch.sin(safe) / safe)
+        slope = torch.where(small, -half / 3, (torch.cos(safe) - torch.sin(safe) / safe) / safe)
+        return mean, fade, slope
+
+
+def _phases(shifts: Tensor, frequencies: Tensor) -> Tensor:
+    phase = 2 * pi * torch.einsum("bid,fd->bif", shifts, frequencies)
+    return torch.complex(torch.cos(phase), -torch.sin(phase))
