@@ -68,14 +68,10 @@ def info(port: Port, as_json: Json = False) -> None:
 
     Example: cep hw info --port /dev/ttyACM0
     """
-    from hw.drivers.cxp import PROVEN_FIRMWARE
-    from hw.drivers.report import Trust
-
     with open_port(port) as controller:
         status = controller.status()
-        told = controller.announced
-    level = Trust.A if told.firmware in PROVEN_FIRMWARE else Trust.B
-    result = {"port": port, **_hello_figures(told), **_status_figures(status), "trust": f"{level} at most"}
+    told, trust = controller.announced, controller.trust
+    result = {"port": port, **_hello_figures(told), **_status_figures(status), "trust": f"{trust} at most"}
     rows = [(name.replace("_", " "), str(value)) for name, value in result.items()]
     finish(result, as_json=as_json, show=lambda console: console.print(table(port, ("", ""), rows)))
 

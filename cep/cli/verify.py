@@ -90,13 +90,9 @@ def verify(
 
 
 def _held(program: Program, port: str, *, clock_ppm: float, as_json: bool) -> None:
-    from hw.drivers.cxp import PROVEN_FIRMWARE
-    from hw.drivers.report import Trust
-
     with open_port(port) as controller:
         controller.verify(program, clock_ppm=clock_ppm)
-        firmware = controller.announced.firmware
-    trust = Trust.A if firmware in PROVEN_FIRMWARE else Trust.B
+    firmware, trust = controller.announced.firmware, controller.trust
     result = {
         "port": port, "firmware": firmware, **program_figures(program, None), "read_back": True, "trust": trust.value,
     }  # fmt: skip

@@ -64,6 +64,11 @@ class Controller(RemotePlayer):
             max_duty=hello.max_duty,
         )
 
+    @property
+    def trust(self) -> Trust:
+        """Trust that :meth:`verify` proves of a program: A with firmware of :data:`PROVEN_FIRMWARE`, else B."""
+        return Trust.A if self.announced.firmware in PROVEN_FIRMWARE else Trust.B
+
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
         """List every limit that the program breaks: those the device announced, and those of `profile`."""
         found = self.limits.check(program)
@@ -137,7 +142,7 @@ class Controller(RemotePlayer):
             code_crc32=program.code_crc32,
             firmware=self.announced.firmware,
             read_back=verify,
-            trust=Trust.A if verify and self.announced.firmware in PROVEN_FIRMWARE else Trust.B,
+            trust=self.trust if verify else Trust.B,
             armed=armed,
             lease_ms=lease_ms if armed else None,
             clock_ppm=clock_ppm,

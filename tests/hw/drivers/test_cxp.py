@@ -59,6 +59,7 @@ def test_upload_reads_back_and_reports():
 def test_without_verification_it_is_only_acknowledged():
     with CxpController(Faults(stored_flip=7)) as device, Controller.open(device.port, **FAST) as controller:
         assert controller.upload(PROGRAM, verify=False).trust is Trust.B
+        assert controller.trust is Trust.A
     assert READ not in device.ops
 
 
@@ -172,6 +173,7 @@ def test_limits_are_the_devices_own_too():
 def test_firmware_whose_timing_nobody_proved_is_trusted_less():
     with CxpController(firmware="homemade 7") as device, Controller.open(device.port, **FAST) as controller:
         report = controller.upload(PROGRAM)
+        assert controller.trust is Trust.B
     assert (report.trust, report.read_back, report.firmware) == (Trust.B, True, "homemade 7")
 
 
