@@ -51,24 +51,18 @@ def export(
     """
     from cep.codes.sources import code_file
     from cep.io.outputs import claim, write_text
-    from hw.device import DeviceProfile
     from hw.drivers.report import Trust
-    from hw.export import EXPORTERS
+    from hw.export import export_program, find_exporter
 
-    if file_format not in EXPORTERS:
-        raise ValueError(f"--format: must be one of {', '.join(EXPORTERS)}, got {file_format[:40]!r}")
-    chosen = EXPORTERS[file_format]
+    suffix = find_exporter(file_format).suffix
     program, profile = load_program(code, chip_ns=chip_ns, device=device)
     file = code_file(code)
-    stem, suffix = "code" if file is None else file.stem, chosen.suffix
+    stem = "code" if file is None else file.stem
     # a code is JSON too, and a code.py would hide Python's own module from whatever runs beside it
     more = {".json": ".program", ".py": "_rp2"}.get(suffix, "")
     target = output or Path(f"{stem}{more}{suffix}")
     claim([target], force=force, inputs=[] if file is None else [file])
-    text = chosen.export(program, profile or DeviceProfile(name="generic"))
-    if chosen.parse_back(text) != program:
-        raise RuntimeError(f"{target}: reading the {file_format} text back gave other edges, nothing was written")
-    write_text(target, text)
+    write_text(target, export_program(program, file_format, device=profile))
     result = {
         "file": target,
         "format": file_format,

@@ -12,13 +12,13 @@ from cep.report.demo_page import DEMO_PICTURES, demo_report
 from cep.report.result_page import write_report
 from cep.workflows.calibrate import CALIBRATION_FILES, write_calibration
 from cep.workflows.demo_chain import Chain
-from hw.export import EXPORTERS
+from hw.export import EXPORTERS, export_program
 from hw.program import Program
 
 __all__ = ["DEMO_FILES", "write_demo"]
 
 _PHOTOS = {"blurred.png": "scene", "coded.png": "coded", "restored_open.png": "open", "restored_coded.png": "restored"}
-_PROGRAMS = {f"shutter_code{module.suffix}": module for module in EXPORTERS.values()}
+_PROGRAMS = {f"shutter_code{exporter.suffix}": file_format for file_format, exporter in EXPORTERS.items()}
 DEMO_FILES = (
     "report.html", "demo.json", "code.json", *(f"{name}.png" for name in DEMO_PICTURES), *_PHOTOS, *_PROGRAMS,
     *CALIBRATION_FILES,
@@ -70,11 +70,8 @@ def write_demo(folder: Path | str, chain: Chain, *, force: bool = False) -> Mapp
         write_calibration(made, chain.estimate, chain.scene.photo, source=source)
         stored = StoredCode(chain.code, chain.metrics.to_dict(), {"objective": "mse", "chips": chain.code.chips})
         write_code(made / "code.json", stored)
-        for name, module in _PROGRAMS.items():
-            text = module.export(program)
-            if module.parse_back(text) != program:
-                raise RuntimeError(f"{name}: reading the program back gave other edges")
-            write_text(made / name, text)
+        for name, file_format in _PROGRAMS.items():
+            write_text(made / name, export_program(program, file_format))
         write_image(made / "blurred.png", chain.scene.photo, bits=16)
         write_image(made / "coded.png", coded_shot.photo, bits=16)
         write_image(made / "restored_open.png", open_shot.restored)

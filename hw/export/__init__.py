@@ -1,4 +1,4 @@
-"""Exporters: a shutter program as a text file, each with a `parse_back` to the identical program."""
+"""Exporters: a shutter program as a text file, and read back from it to the identical program."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from hw.export import (
     scpi,
     vcd,
 )
+from hw.export._text import GENERIC
 from hw.program import Program
 
-__all__ = ["EXPORTERS", "Exporter"]
+__all__ = ["EXPORTERS", "Exporter", "export_program", "find_exporter"]
 
 
 class Exporter(Protocol):
@@ -57,3 +58,52 @@ EXPORTERS: Mapping[str, Exporter] = MappingProxyType(
     }
 )
 """Format name to exporter."""
+
+
+def find_exporter(file_format: str) -> Exporter:
+    """Return the exporter of a format; ValueError when :data:`EXPORTERS` has none of that name."""
+    if file_format not in EXPORTERS:
+        raise ValueError(f"file_format: must be one of {', '.join(EXPORTERS)}, got {file_format[:40]!r}")
+    return EXPORTERS[file_format]
+
+
+def export_program(program: Program, file_format: str, *, device: DeviceProfile | None = None) -> str:
+    """Write a program as text, and read the text back to prove its edges.
+
+    Parameters
+    ----------
+    program : Program
+    file_format : str
+        A name of :data:`EXPORTERS`.
+    device : DeviceProfile, optional
+        Shutter that the text is for; one that is closed at level 0 and adds nothing to an opening when omitted.
+
+    Returns
+    -------
+    str, the content of the file
+
+    Raises
+    ------
+    ValueError
+        If the format is not known, or cannot represent the program.
+    RuntimeError
+        If the text read back has other edges, which is an error of the exporter.
+
+    Examples
+    --------
+    >>> print(export_program(Program.from_bits("101", chip_ns=1000), "csv").rstrip())
+    # format: hw.csv/1
+    # chip_ns: 1000
+    # chips: 3
+    # code_crc32: 0x1d06616e
+    time_us,level
+    0.000,1
+    1.000,0
+    2.000,1
+    3.000,0
+    """
+    exporter = find_exporter(file_format)
+    text = exporter.export(program, device or GENERIC)
+    if exporter.parse_back(text) != program:
+        raise RuntimeError(f"{file_format}: reading the text back gave other edges")
+    return text
