@@ -221,7 +221,11 @@ Workers = Annotated[
 ]  # fmt: skip
 Gyro = Annotated[
     Path | None,
-    typer.Option("--gyro", metavar="FILE", help="Recording of a gyroscope, for the hand shake of --protocol ours."),
+    typer.Option(
+        "--gyro",
+        metavar="FILE",
+        help="Recording of a gyroscope, for the hand shake of the protocols ours and card-gyro.",
+    ),
 ]
 Dask = Annotated[
     str | None,
