@@ -3,56 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cep.bench.table_io import machines_markdown, tables_markdown
-from cep.bench.tables import Table
+from cep.bench.job import Part
+from cep.bench.table_io import machines_markdown
 from cep.io.outputs import write_text
 
-__all__ = ["INDEX", "Part", "first_table", "write_index"]
+__all__ = ["INDEX", "write_index"]
 
 INDEX = "README.md"
 """The page; one of this name is shown where folders are browsed."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """A table on disk.
-
-    Attributes
-    ----------
-    title : str
-    command : str
-        Command that reproduces it.
-    summary : str
-        Its first figures, Markdown.
-    tables : mapping from a table's title to its figures, ready for JSON
-    files : mapping from a file's name to its path
-        The figure is the one that ends in ``.png``.
-    failures : mapping from a cell's label to its reason
-    missing : int
-        Cells not reached, after Ctrl-C.
-    warnings : sequence of str
-    machines : sequence of mapping
-        As of :attr:`cep.jobs.engine.Outcome.machines`.
-    """
-
-    title: str
-    command: str
-    summary: str
-    tables: Mapping[str, Any]
-    files: Mapping[str, Path]
-    failures: Mapping[str, str]
-    missing: int
-    warnings: Sequence[str]
-    machines: Sequence[Mapping[str, Any]]
-
-
-def first_table(tables: Sequence[Table]) -> str:
-    """Lay out the first of some tables as a part's summary."""
-    return tables_markdown(tables[:1]) or "Nothing was measured.\n"
 
 
 def write_index(folder: Path, parts: Sequence[Part], *, command: str, unmade: Sequence[str] = ()) -> Path:

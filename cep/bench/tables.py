@@ -12,7 +12,7 @@ import numpy as np
 from cep.bench.statistics import Interval, Summary, crossed_interval, mean_interval, summarized
 from cep.jobs.cells import Figure
 
-__all__ = ["Column", "Entry", "Table", "differences", "tabulate"]
+__all__ = ["Column", "Entry", "Table", "TextTable", "differences", "tabulate"]
 
 Name = tuple[str, ...]
 Figures = Mapping[Name, Mapping[str, Figure]]
@@ -119,6 +119,25 @@ class Table:
             )
             for label, entries in self.rows.items()
         ]
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table of texts, without means.
+
+    Attributes
+    ----------
+    title : str
+    head : tuple of str
+    lines : sequence of tuple of str
+    note : str
+        Line below it.
+    """
+
+    title: str
+    head: tuple[str, ...]
+    lines: Sequence[tuple[str, ...]]
+    note: str
 
 
 def tabulate(

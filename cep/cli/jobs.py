@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,8 +13,8 @@ from cep.cli.console import FAILURE, INTERRUPTED, finish, progress, table
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cep.bench.index_page import Part
-    from cep.bench.tables import Column, Entry, Table
+    from cep.bench.job import Job, Part
+    from cep.bench.tables import Column, Entry, Table, TextTable
     from cep.cli.console import Tick
     from cep.jobs.cells import Cell, Result
     from cep.jobs.engine import Outcome
@@ -26,22 +25,16 @@ __all__ = [
     "Cache",
     "Dask",
     "Data",
-    "Engine",
     "Gyro",
-    "Job",
     "Quick",
     "Workers",
     "discard",
     "end",
-    "figures_of",
-    "finish_bench",
     "finish_folder",
     "only_of_folders",
     "run_folder",
     "run_job",
     "show_tables",
-    "spelled",
-    "summary",
     "summary_csv",
 ]
 
@@ -243,63 +236,22 @@ Cache = Annotated[
 ]  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Engine:
-    """Where cells are kept and what runs them, as :func:`cep.jobs.engine.run_cells` takes it."""
-
-    cache: Path
-    workers: int
-    dask: str | None
-
-    @classmethod
-    def of(cls, output: Path, *, cache: Path | None, workers: int | None, dask: str | None) -> Engine:
-        """Fill in what was not said: cells in the output, as many workers as there are cores."""
-        from cep.jobs.machine import machine
-
-        return cls(cache or output / "cells", workers or machine()["cores"] or 1, dask)
-
-
-@dataclass(frozen=True)
-class Job:
-    """A table that is planned, so that what was wrong is known, and not yet measured.
-
-    Attributes
-    ----------
-    about : mapping
-        What was asked for, for the JSON.
-    run : function
-        Measures, writes the files and returns them as a part, with what prints its tables.
-    """
-
-    about: Mapping[str, object]
-    run: Callable[[Tick], tuple[Part, Callable[[Console], None]]]
-
-
 def run_job(plan: Callable[[], Job], *, as_json: bool) -> None:
-    """Do what a command with a single table does: plan it, which may take a while itself, and run it."""
-    with progress("measuring") as tick:
-        tick(0.0, "planning")
-        job = plan()
-        part, show = job.run(tick)
-    finish_bench(job.about, part, show, as_json=as_json)
-
-
-def finish_bench(about: Mapping[str, object], part: Part, show: Callable[[Console], None], *, as_json: bool) -> None:
-    """Print what every benchmark that writes a folder ends with.
-
-    Parameters
-    ----------
-    about : mapping
-        What was asked for: folder, protocol, and what was compared.
-    part : Part
-    show : function that prints the tables
-    as_json : bool
+    """Plan a table, which may take a while itself, run it, print it, and end the command.
 
     Raises
     ------
     typer.Exit
         1 where a cell failed, 130 after Ctrl-C.
     """
+    with progress("measuring") as tick:
+        tick(0.0, "planning")
+        job = plan()
+        part = job.run(tick)
+    _finish_table(job.about, part, as_json=as_json)
+
+
+def _finish_table(about: Mapping[str, object], part: Part, *, as_json: bool) -> None:
     result = {
         **about,
         "files": list(part.files.values()),
@@ -310,7 +262,7 @@ def finish_bench(about: Mapping[str, object], part: Part, show: Callable[[Consol
     }
 
     def page(console: Console) -> None:
-        show(console)
+        show_tables(console, part.shown)
         folder = next(iter(part.files.values())).parent
         console.print(f"{folder}: {', '.join(part.files)}")
 
@@ -318,35 +270,15 @@ def finish_bench(about: Mapping[str, object], part: Part, show: Callable[[Consol
     end(missing=part.missing, failed=len(part.failures))
 
 
-def spelled(name: str, given: Mapping[str, object], *, quick: bool) -> str:
-    """Spell ``cep bench NAME`` with the options given, an empty one for arguments, without anybody's folders."""
-    words = [f"{option} {value}".strip() for option, value in given.items() if value]
-    return " ".join(filter(None, ["cep bench", name, *words, "--quick" if quick else ""]))
+def show_tables(console: Console, tables: Sequence[Table | TextTable]) -> None:
+    """Print tables for people: means, or medians, whose intervals are in the files."""
+    from cep.bench.tables import TextTable
 
-
-def figures_of(tables: Sequence[Table]) -> dict[str, Any]:
-    """Tables as every benchmark's JSON has them: title, row, figure."""
-    return {
-        one.title: {
-            label: {
-                column.figure: {
-                    "n": entry.summary.n,
-                    "mean": entry.summary.mean,
-                    "median": entry.summary.median,
-                    "interval": entry.interval and (entry.interval.low, entry.interval.high),
-                    "bold": entry.bold,
-                }
-                for column, entry in zip(one.columns, entries, strict=True)
-            }
-            for label, entries in one.rows.items()
-        }
-        for one in tables
-    }
-
-
-def show_tables(console: Console, tables: Sequence[Table]) -> None:
-    """Print the tables' means, or medians, for people, who find the intervals in the files."""
     for one in tables:
+        if isinstance(one, TextTable):
+            console.print(table(one.title, one.head, one.lines))
+            console.print(one.note)
+            continue
         lines = [(label, *map(_shown, one.columns, entries), one.cells[label]) for label, entries in one.rows.items()]
         console.print(table(one.title, one.head, lines, kept=1))
 
@@ -356,15 +288,3 @@ def _shown(column: Column, entry: Entry) -> str | None:
         return None
     text = f"{column.shown(entry):.{column.digits}f}"
     return f"[bold]{text}[/bold]" if entry.bold else text
-
-
-def summary(outcome: Outcome) -> list[str]:
-    """Warnings about a run: what was not trusted, what failed, what was not reached."""
-    warnings = list(outcome.warnings)
-    if outcome.failures:
-        name, reason = next(iter(outcome.failures.items()))
-        count, total = len(outcome.failures), len(outcome.results)
-        warnings.append(f"{count} of {total} cells failed, the first: {'/'.join(name)}: {reason}")
-    if outcome.missing:
-        warnings.append(f"stopped early: {outcome.missing} cells are left out; the same command with --force goes on")
-    return warnings

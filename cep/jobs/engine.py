@@ -7,13 +7,14 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from cep.jobs.cache import Cache
 from cep.jobs.cells import Cell, Figure, Finished, Result, fingerprints, pinned, worked
 from cep.jobs.executors import Tasks, in_processes, on_cluster
+from cep.jobs.machine import machine
 
-__all__ = ["Outcome", "run_cells"]
+__all__ = ["Engine", "Outcome", "run_cells"]
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,32 @@ def run_cells(
         raise ValueError(f"cells: every name must come once, {twice.label} comes twice")
     with _no_empty_folder(Path(cache)):
         return _run(cells, Cache(cache), workers=workers, dask=dask, progress=progress, finished=finished)
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Where cells are kept and what runs them, as :func:`run_cells` takes it."""
+
+    cache: Path
+    workers: int
+    dask: str | None
+
+    @classmethod
+    def of(cls, output: Path, *, cache: Path | None, workers: int | None, dask: str | None) -> Self:
+        """Fill in what is None: cells in the folder ``output``, as many workers as there are cores."""
+        return cls(cache or output / "cells", workers or machine()["cores"] or 1, dask)
+
+    def run(
+        self,
+        cells: Sequence[Cell],
+        *,
+        progress: Callable[[float, str], None] = lambda _fraction, _note: None,
+        finished: Callable[[Result], None] = lambda _result: None,
+    ) -> Outcome:
+        """Run cells; see :func:`run_cells`."""
+        return run_cells(
+            cells, cache=self.cache, workers=self.workers, dask=self.dask, progress=progress, finished=finished
+        )
 
 
 def _run(

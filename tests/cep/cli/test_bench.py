@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from cep.bench import all_jobs
+from cep.bench.codes_job import codes_job
 from cep.bench.index_page import INDEX
-from cep.cli import bench
-from cep.cli.bench import codes_job
 from cep.cli.console import FAILURE, INTERRUPTED
-from cep.cli.jobs import Engine
+from cep.jobs.engine import Engine
 
 NAMES = {"first": "bdinr-8", "second": "barker-13"}
 ALL = ("bench", "--quick", "--workers", "1", "-o", "out")
@@ -23,13 +23,13 @@ def untouchable(*_arguments, **_options):
 def tables(workplace, monkeypatch):
     """Two small tables in the place of the seven."""
 
-    def few(output, engine, *, data, gyro, quick, force):
+    def few(output, engine, *, data, gyro, search_s, quick, force):
         return {
             name: codes_job(output / name, engine, names=[code], time_s=0.1, seed=0, force=force)
             for name, code in NAMES.items()
         }
 
-    monkeypatch.setattr(bench, "_jobs", few)
+    monkeypatch.setattr(all_jobs, "_jobs", few)
 
 
 def failing(monkeypatch, error):
@@ -105,9 +105,9 @@ def test_a_cost_is_never_measured_on_a_cluster(monkeypatch):
     """Beside others, or on machines of several kinds, times could not be compared."""
     engines = {}
     for name in ("speed_job", "blind_job", "cep_job", "codes_job"):
-        monkeypatch.setattr(bench, name, lambda folder, engine, **_options: engines.update({folder.name: engine}))
+        monkeypatch.setattr(all_jobs, name, lambda folder, engine, **_options: engines.update({folder.name: engine}))
     given = Engine(Path("cells"), 2, "tcp://127.0.0.1:9")
-    bench._jobs(Path("out"), given, data=None, gyro=None, quick=True, force=False)
+    all_jobs.all_jobs(Path("out"), given, data=None, gyro=None, search_s=30.0, quick=True, force=False)
     assert engines.pop("speed") == Engine(Path("cells"), 1, None)
     assert engines == dict.fromkeys(["codes", "blind-paper", "blind-ours", "cep-paper", "cep-ours"], given)
 
@@ -136,10 +136,10 @@ def test_what_exists_is_refused_before_any_work(cep, tables, monkeypatch):
 
 def test_the_tables_are_the_papers():
     engine = Engine(Path("cells"), 2, None)
-    jobs = bench._jobs(Path("out"), engine, data=None, gyro=None, quick=True, force=False)
+    jobs = all_jobs.all_jobs(Path("out"), engine, data=None, gyro=None, search_s=30.0, quick=True, force=False)
     assert list(jobs) == ["codes", "speed", "blind-paper", "blind-ours", "cep-paper", "cep-ours"]
     assert {name: job.about["folder"] for name, job in jobs.items()} == {name: Path("out", name) for name in jobs}
-    assert bench._files().keys() == jobs.keys()
+    assert all_jobs._files().keys() == jobs.keys()
     assert {name: job.about["protocol"].name for name, job in jobs.items() if name.startswith("blind")} == {
         "blind-paper": "paper", "blind-ours": "ours",
     }  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cep.bench.blind import work
-from cep.cli.bench import blind_job, speed_job
+from cep.bench.blind.job import blind_job, speed_job
 from cep.cli.console import FAILURE, INTERRUPTED
 from cep.io.images import read_image, write_image
 from motdiff.estimators.base import MotionEstimate
@@ -191,14 +191,14 @@ def test_what_keeps_figures_from_a_claim_is_told_of_costs_and_of_real_photos(cep
 
 
 def test_all_tables_in_one_folder_tell_it_too(cep, studio, guesses, monkeypatch):
-    def few(output, engine, *, data, gyro, quick, force):
-        given = {"data": data, "protocol": "tiny.toml", "methods": "pmp,parametric", "gyro": gyro}
+    def few(output, engine, *, data, gyro, search_s, quick, force):
+        given = {"data": data, "protocol": "tiny.toml", "methods": ["pmp", "parametric"], "gyro": gyro}
         return {
             name: make(output / name, engine, **given, quick=quick, force=force)
             for name, make in (("blind", blind_job), ("speed", speed_job))
         }
 
-    monkeypatch.setattr("cep.cli.bench._jobs", few)
+    monkeypatch.setattr("cep.bench.all_jobs._jobs", few)
     command = ("bench", "--quick", "--workers", "1", "-o", "out")
     found = cep.succeeds(*command)
     starts = [f"{name}: {said}" for name in ("blind", "speed") for said in RESERVATIONS]

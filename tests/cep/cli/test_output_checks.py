@@ -49,7 +49,7 @@ WORK = (
     "cep.io.images.decode", "cep.workflows.calibrate.make_estimator", "cep.workflows.optimize.search",
     "cep.workflows.frames.search_code", "cep.workflows.pareto.pareto_front", "cep.proofs.audit.certify",
     "cep.workflows.mtf.mtf_curve",
-    "cep.restoration.restore", "cep.jobs.engine.run_cells", "cep.bench.coded.run.measure_coded",
+    "cep.restoration.restore", "cep.jobs.engine.run_cells", "cep.bench.coded.job.measure_coded",
     "hw.drivers.finding.open_controller", "cep.workflows.playback.read_capture", "hw.emulation.uno.EmulatedUno",
     "hw.export.csv_edges.export", "cep.workflows.demo_chain.run_chain", "cep.workflows.demo_chain.bundled_scene",
 )  # fmt: skip

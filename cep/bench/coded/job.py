@@ -1,0 +1,107 @@
+"""The table of ``cep bench cep``: planned, then measured and written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from cep.bench import datasets
+from cep.bench.coded.designs import DESIGNS
+from cep.bench.coded.protocol import CodedProtocol, coded_protocol
+from cep.bench.coded.report import OUTPUTS, write_coded_report
+from cep.bench.coded.run import measure_coded, scene_px
+from cep.bench.coded.tables import coded_tables
+from cep.bench.job import Job, Part, part_of_tables, spelled
+from cep.bench.own_codes import load_own_codes, spelled_own_codes
+from cep.io.outputs import claim_folder
+from cep.jobs.engine import Engine
+
+__all__ = ["cep_job"]
+
+
+def cep_job(
+    output: Path,
+    engine: Engine,
+    *,
+    data: Path | None,
+    protocol: str,
+    designs: Sequence[str],
+    codes: Sequence[str] = (),
+    quick: bool,
+    force: bool,
+) -> Job:
+    """Plan the table of codes, compared by the photos they give.
+
+    Parameters
+    ----------
+    output : Path
+        Folder to write into.
+    engine : Engine
+    data : Path, optional
+        Folder of sharp photos; those that scikit-image carries when None.
+    protocol : str
+        As of :func:`cep.bench.coded.protocol.coded_protocol`.
+    designs : sequence of str
+        Ways to choose the code; all when empty.
+    codes : sequence of str
+        Codes of the user's own, each ``NAME=SOURCE``.
+    quick : bool
+        The protocol's small size.
+    force : bool
+        Whether existing files may be replaced.
+
+    Raises
+    ------
+    ValueError
+        If a file is in the way, an option is not valid, or the folder holds no usable photo. Names of designs are
+        checked when the job runs.
+    OSError
+        If a file cannot be read.
+    """
+    claim_folder(output, OUTPUTS, force=force)
+    chosen = coded_protocol(protocol)
+    chosen = chosen.quick if quick else chosen
+    names = list(designs) or list(DESIGNS)
+    own = load_own_codes(codes)
+    photos, warnings = _photos(data, chosen)
+    given = {
+        "--data": data and data.resolve().name, "--protocol": Path(protocol).name, "--designs": ",".join(designs),
+        "": spelled_own_codes(codes, own),
+    }  # fmt: skip
+    command = spelled("cep", given, quick=quick)
+
+    def run(progress: Callable[[float, str], None]) -> Part:
+        measured = measure_coded(
+            chosen, photos, cache=engine.cache, designs=names, codes=own, workers=engine.workers, dask=engine.dask,
+            progress=progress,
+        )  # fmt: skip
+        all_warnings = [*warnings, *measured.warnings]
+        if measured.failures:
+            name, reason = next(iter(measured.failures.items()))
+            all_warnings.append(f"{len(measured.failures)} cells failed, the first: {name}: {reason}")
+        if measured.missing:
+            all_warnings.append("stopped early: cells are left out; the same command with --force goes on")
+        tables = coded_tables(measured)
+        files = write_coded_report(output, tables, measured, command=command, warnings=all_warnings, force=force)
+        return part_of_tables(
+            f"Coded exposure, {chosen.name}", command, tables, files, failures=measured.failures,
+            missing=measured.missing, warnings=all_warnings, machines=measured.machines,
+        )  # fmt: skip
+
+    about = {
+        "folder": output, "protocol": chosen.name, "designs": names,
+        "codes": {name: one.bits for name, one in own.items()},
+    }  # fmt: skip
+    return Job(about, run)
+
+
+def _photos(data: Path | None, protocol: CodedProtocol) -> tuple[dict[str, Path], list[str]]:
+    """Pick the sharp photos, and list in what they are not as the protocol asks."""
+    paths = datasets.bundled_photos() if data is None else datasets.photo_folder(data)
+    picked = datasets.pick(paths, protocol.photos, least_px=scene_px(protocol))
+    warnings = []
+    if data is None:
+        warnings.append(datasets.BUNDLED_WARNING)
+    if len(picked) < protocol.photos:
+        warnings.append(f"{len(picked)} photos are large enough, the protocol asks for {protocol.photos}")
+    return dict(zip(datasets.labels_of(picked), picked, strict=True)), warnings
