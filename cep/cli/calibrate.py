@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import Annotated, Any, cast
 
 import typer
 
 from cep.cli.console import finish, part, progress
-from cep.cli.jobs import (
-    NOT_REACHED,
-    Cache,
-    Dask,
-    Workers,
-    discard,
-    finish_folder,
-    only_of_folders,
-    run_folder,
-    summary_csv,
-)
+from cep.cli.jobs import Cache, Dask, Workers, finish_folder, only_of_folders
 from cep.cli.options import Force, Gamma, Json, Seed, output_option
 
-if TYPE_CHECKING:
-    from cep.jobs.cells import Figure, Result
-    from motdiff.estimators.base import MotionEstimate
-
-__all__ = ["calibrate", "calibrate_folder"]
+__all__ = ["calibrate"]
 
 
 _ESTIMATE = {
@@ -129,7 +115,7 @@ def calibrate(
         "start_s": start, "exposure_s": exposure, "rate_unit": gyro_unit,
     }  # fmt: skip
     if image.is_dir():
-        calibrate_folder(
+        _calibrate_folder(
             image, method, options, gamma=gamma, seed=seed, workers=workers, dask=dask, cache=cache, output=output,
             force=force, as_json=as_json,
         )  # fmt: skip
@@ -144,6 +130,7 @@ def calibrate(
             check_options,
             estimate_motion,
         )
+        from cep.workflows.calibrate_folder import describe_motion
         from motdiff.io.gyro_tables import read_gyro
 
         check_options(method, options)
@@ -180,14 +167,13 @@ def calibrate(
         files = found.save(folder, source={"image": str(image), "seed": seed}, force=force)
         tick(1.0)
     motion = found.best
-    result = _described(found, files, seconds=seconds, warnings=[*photo.warnings, *found.warnings])
+    result = describe_motion(found, files, seconds=seconds, warnings=[*photo.warnings, *found.warnings])
     finish(result, as_json=as_json, show=lambda console: console.print(
         f"{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, direction {motion.direction}; "
         f"confidence {found.confidence:.2f}; {found.method}, {seconds:.1f} s"
     ))  # fmt: skip
 
 
-_SUMMARY = "motions.csv"
 _COLUMNS = {
     "photo": "photo",
     "length_px": "long, px",
@@ -196,10 +182,10 @@ _COLUMNS = {
     "confidence": "confidence",
     "seconds": "s",
 }
-_MORE = ("method", "warnings", "failure")
+"""Heads of the table of a folder."""
 
 
-def calibrate_folder(
+def _calibrate_folder(
     folder: Path,
     method: str,
     options: Mapping[str, Any],
@@ -213,152 +199,20 @@ def calibrate_folder(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Estimate, write and print the motion in each photo, one by one; a failure is reported, the others are kept.
-
-    Parameters
-    ----------
-    folder : Path
-    method : str
-    options : mapping
-        Of the method, as of :func:`cep.workflows.calibrate.check_options`.
-    gamma, seed, workers, dask, cache, output, force, as_json
-        As the command's options.
-
-    Raises
-    ------
-    ValueError
-        If there are no photos, an output is in the way, or the options suit no folder.
-    """
     with progress(f"estimating the motion ({method})") as tick:
-        from cep.io.images import parse_gamma, read_image
-        from cep.io.outputs import claim_folder, write_text
-        from cep.jobs.cells import Cell
-        from cep.workflows.calibrate import CALIBRATION_FILES, check_options
-        from cep.workflows.calibrate_folder import estimate_photo, estimator_version, photos_in, sharp_of, unreadable
+        from cep.workflows.calibrate import check_options
+        from cep.workflows.calibrate_folder import calibrate_folder
 
         check_options(method, options)
-        if method == "gyro":
-            raise ValueError(
-                "--method gyro: --start is the opening of one photo; give the photos of a folder one by one"
-            )
-        parse_gamma(gamma)
-        sharp = options["sharp"]
-        photos = photos_in(folder, but=sharp)
-        sharps = {} if sharp is None else sharp_of(photos, sharp)
-        if sharp is not None and not sharp.is_dir():
-            read_image(sharp, gamma=gamma, variable="x")  # what is wrong with it is wrong with every photo
-        named = folder if folder.name not in ("", "..") else folder.resolve()  # as "." has no name of its own
-        target = output or named.with_name(f"{named.name}_motion")
-        claim_folder(target, [_SUMMARY], force=force)
-        for photo in photos:
-            claim_folder(target / photo.stem, CALIBRATION_FILES, force=force)
-        failures = {_label(photo): reason for photo in photos if (reason := unreadable(photo))}
-        by_label = {_label(photo): photo for photo in photos}
-        version = estimator_version(method)
-        cells = [
-            Cell(
-                (label,),
-                estimate_photo,
-                {
-                    "photo": photo, "method": method, "samples": options["samples"],
-                    "gamma": gamma, "seed": seed, "sharp": sharps.get(photo),
-                },
-                version,
-            )
-            for label, photo in by_label.items()
-            if label not in failures
-        ]  # fmt: skip
-        motions: dict[str, dict[str, Any]] = {}
-
-        def write(result: Result) -> None:
-            (label,) = result.cell.name
-            try:
-                motions[label] = _written(
-                    by_label[label], result, target / by_label[label].stem, gamma=gamma, seed=seed, force=force
-                )
-            except _GoneError as error:
-                failures[label] = str(error)
-
-        outcome = run_folder(
-            cells,
-            tick,
-            noun="photos",
-            cache=cache or target / "cells",
-            workers=workers,
-            dask=dask,
-            write=write,
-        )
-        motions = {label: motions[label] for label in by_label if label in motions}
-        failures |= {label: reason for (label,), reason in outcome.failures.items()}
-        if force:
-            for label in failures:
-                discard(target / by_label[label].stem, CALIBRATION_FILES)
-        rows = [
-            {
-                "photo": label,
-                **motions.get(label, {}),
-                "failure": failures.get(label, "" if label in motions else NOT_REACHED),
-            }
-            for label in by_label
-        ]
-        spelt = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
-        target.mkdir(parents=True, exist_ok=True)  # nothing is in it where every photo failed
-        write_text(target / _SUMMARY, summary_csv((*_COLUMNS, *_MORE), spelt))
+        found = calibrate_folder(
+            folder, output, method=method, samples=options["samples"], sharp=options["sharp"], gamma=gamma, seed=seed,
+            cache=cache, workers=workers, dask=dask, force=force, progress=tick,
+        )  # fmt: skip
     finish_folder(
-        {"folder": target, "summary": target / _SUMMARY, "method": method, "photos": motions, "seed": seed},
+        {"folder": found.folder, "summary": found.summary, "method": method, "photos": found.found, "seed": seed},
         _COLUMNS,
-        rows,
+        found,
         title="the motion in each photo",
         noun="photos",
-        missing=outcome.missing,
-        warnings=[
-            *outcome.warnings,
-            *(f"{label}: {line}" for label, one in motions.items() for line in one["warnings"]),
-        ],
         as_json=as_json,
     )
-
-
-class _GoneError(Exception):
-    """A photo is not what it was when its motion was estimated."""
-
-
-def _written(photo: Path, result: Result, folder: Path, *, gamma: str, seed: int, force: bool) -> dict[str, Any]:
-    """Write what was found in a photo as ``cep calibrate PHOTO`` does, and say it for the table."""
-    from cep.io.images import read_image
-    from cep.workflows.calibrate import write_calibration
-    from cep.workflows.calibrate_folder import estimate_from_figures
-
-    try:
-        pixels = read_image(photo, gamma=gamma)
-    except (ValueError, OSError) as error:  # it was there when its motion was estimated, maybe hours ago
-        raise _GoneError(f"has changed since: {error}") from None
-    figures = result.finished.figures
-    found, warnings = estimate_from_figures(figures)
-    files = write_calibration(folder, found, pixels, source={"image": str(photo), "seed": seed}, force=force)
-    return _described(found, files, seconds=figures["seconds"], warnings=warnings)
-
-
-def _described(
-    found: MotionEstimate, files: Mapping[str, Path], *, seconds: Figure, warnings: Sequence[str]
-) -> dict[str, Any]:
-    """Describe a calibration as the JSON of a photo and of a folder has it."""
-    motion = found.best
-    return {
-        "method": found.method,
-        "trajectory": files["trajectory.json"],
-        "psf": files["psf.npy"],
-        "length_px": motion.length_px,
-        "extent_px": motion.extent_px,
-        "direction": motion.direction,
-        "confidence": found.confidence,
-        "seconds": seconds,
-        "warnings": warnings,
-        "files": list(files.values()),
-        "details": found.details,
-    }
-
-
-def _label(photo: Path) -> str:
-    """Return the photo's name as it can be printed, whatever bytes it has."""
-    return photo.name.encode("utf-8", "backslashreplace").decode()

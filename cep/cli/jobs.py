@@ -15,31 +15,22 @@ if TYPE_CHECKING:
 
     from cep.bench.job import Job, Part
     from cep.bench.tables import Column, Entry, Table, TextTable
-    from cep.cli.console import Tick
-    from cep.jobs.cells import Cell, Result
-    from cep.jobs.engine import Outcome
+    from cep.workflows.folders import FolderResults
 
 __all__ = [
     "MANY",
-    "NOT_REACHED",
     "Cache",
     "Dask",
     "Data",
     "Gyro",
     "Quick",
     "Workers",
-    "discard",
     "end",
     "finish_folder",
     "only_of_folders",
-    "run_folder",
     "run_job",
     "show_tables",
-    "summary_csv",
 ]
-
-
-NOT_REACHED = "left out"
 
 
 def only_of_folders(where: str, workers: int | None, dask: str | None, cache: Path | None) -> None:
@@ -49,73 +40,13 @@ def only_of_folders(where: str, workers: int | None, dask: str | None, cache: Pa
             raise ValueError(f"{name}: is for a folder ({where}), here is a single one")
 
 
-def run_folder(
-    cells: Sequence[Cell],
-    tick: Tick,
-    *,
-    noun: str,
-    cache: Path,
-    workers: int | None,
-    dask: str | None,
-    write: Callable[[Result], None],
-) -> Outcome:
-    """Run cells, tell how many of what they stand for are done, and write each result as soon as it is there.
-
-    Parameters
-    ----------
-    cells : sequence of Cell
-    tick : Tick
-    noun : str
-        What they stand for, in the plural.
-    cache, workers, dask
-        As of :func:`cep.jobs.engine.run_cells`; as many workers as cores when omitted.
-    write : function
-        Writes a result that is no failure. After Ctrl-C it is called again with what it may not have come to.
-    """
-    from cep.jobs.engine import run_cells
-    from cep.jobs.machine import machine
-
-    written: set[tuple[str, ...]] = set()
-
-    def once(result: Result) -> None:
-        if not result.finished.failure and result.cell.name not in written:
-            write(result)
-            written.add(result.cell.name)
-
-    outcome = run_cells(
-        cells,
-        cache=cache,
-        workers=workers or machine()["cores"] or 1,
-        dask=dask,
-        progress=lambda fraction, note: tick(fraction, note.replace("cells", noun)),
-        finished=once,
-    )
-    for result in outcome.results:
-        once(result)
-    return outcome
-
-
-def summary_csv(columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> str:
-    """Lay out a folder's table as CSV, a line per row; what a row lacks is empty."""
-    import csv
-    import io
-
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, columns, restval="", extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return stream.getvalue()
-
-
 def finish_folder(
     result: Mapping[str, object],
     columns: Mapping[str, str],
-    rows: Sequence[Mapping[str, object]],
+    found: FolderResults,
     *,
     title: str,
     noun: str,
-    missing: int,
-    warnings: Sequence[str],
     as_json: bool,
 ) -> None:
     """Print the table of a folder and end the command.
@@ -126,13 +57,9 @@ def finish_folder(
         For JSON, with ``summary``, the table's file; failures, ``missing`` and the warnings are added.
     columns : mapping from a row's key to the head that people read
         The first is the name; a figure that no row has is left out.
-    rows : sequence of mappings
-        With ``failure``, a reason, where something went wrong.
+    found : FolderResults
     title, noun : str
         Of the table, and what its rows are, in the plural.
-    missing : int
-        Not reached after Ctrl-C.
-    warnings : sequence of str
     as_json : bool
 
     Raises
@@ -140,11 +67,14 @@ def finish_folder(
     typer.Exit
         1 where a row failed, 130 after Ctrl-C.
     """
+    from cep.workflows.folders import NOT_REACHED
+
     name, *figures = columns
+    rows, missing = found.rows, found.missing
     failures = {
         str(row[name]): str(row["failure"]) for row in rows if row.get("failure") not in (None, "", NOT_REACHED)
     }
-    told = [*warnings, *(f"{failed}: {reason}" for failed, reason in failures.items())]
+    told = [*found.warnings, *(f"{failed}: {reason}" for failed, reason in failures.items())]
     if missing:
         told.append(f"stopped early: {missing} {noun} are left out; the same command with --force goes on")
 
@@ -174,21 +104,10 @@ def end(*, missing: int, failed: int) -> None:
         raise typer.Exit(FAILURE)
 
 
-def discard(folder: Path, names: Sequence[str]) -> None:
-    """Remove an earlier run's files of something that fails now, and the folder where nothing else is in it.
-
-    Left there they would pass for results of this run.
-    """
-    if not folder.is_dir():
-        return
-    for name in names:
-        (folder / name).unlink(missing_ok=True)
-    if not any(folder.iterdir()):
-        folder.rmdir()
-
-
 def _state(row: Mapping[str, object]) -> str:
     """Say in a word how a row came out; the reasons and the warnings themselves are told on stderr."""
+    from cep.workflows.folders import NOT_REACHED
+
     failure, warnings = row.get("failure"), row.get("warnings")
     if failure:
         return NOT_REACHED if failure == NOT_REACHED else "failed"

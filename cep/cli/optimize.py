@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -38,17 +37,7 @@ from cep.cli.code_options import (
 from cep.cli.commands import in_options
 from cep.cli.console import finish, progress, table
 from cep.cli.frames import optimize_frames
-from cep.cli.jobs import (
-    NOT_REACHED,
-    Cache,
-    Dask,
-    Workers,
-    discard,
-    finish_folder,
-    only_of_folders,
-    run_folder,
-    summary_csv,
-)
+from cep.cli.jobs import Cache, Dask, Workers, finish_folder, only_of_folders
 from cep.cli.options import (
     CameraFile,
     Figures,
@@ -66,20 +55,29 @@ from cep.cli.options import (
 from cep.workflows.search_options import SearchOptions, Task, ending, task_of
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rich.console import Console
 
-    from cep.cli.console import Tick
-    from cep.jobs.cells import Result
     from cep.optics.code import ShutterCode
     from cep.search.recipe import Found
-    from cep.workflows.optimize import Optimum, Search
-    from hw.device import DeviceProfile
+    from cep.workflows.optimize import Optimum
     from motdiff.io.trajectories import StoredMotion
 
-__all__ = ["optimize", "optimize_folder"]
+__all__ = ["optimize"]
 
 
 _STANDARD_CHIPS = 52
+_COLUMNS = {
+    "motion": "motion",
+    "open": "open",
+    "min_mtf": "min MTF",
+    "min_chip": "min |P|",
+    "noise_gain_db": "noise, dB",
+    "mse_db": "MSE, dB",
+    "seconds": "s",
+}
+"""Heads of the table of a folder."""
 
 
 def optimize(
@@ -217,10 +215,21 @@ def optimize(
                 raise ValueError(
                     "--each: takes the place of --trajectory and --linear, and searches one frame for each"
                 )
-            show = optimize_folder(
-                each, task, how, tick, figures=list(own), profile=profile, workers=workers, dask=dask, cache=cache,
-                output=output, force=force, as_json=as_json,
+            from cep.workflows.optimize_folder import optimize_folder
+
+            found = optimize_folder(
+                each, task, how, output, figures=list(own), profile=profile, cache=cache, workers=workers, dask=dask,
+                force=force, progress=tick,
             )  # fmt: skip
+            show: Callable[[], None] = partial(
+                finish_folder,
+                {"folder": found.folder, "summary": found.summary, "codes": found.found, "seed": seed},
+                {**_COLUMNS, **{name: name for name in own}},
+                found,
+                title="a code for each motion (worse direction where unknown)",
+                noun="motions",
+                as_json=as_json,
+            )
         else:
             only_of_folders("--each", workers, dask, cache)
             if trajectory is not None and trajectory.is_dir():
@@ -280,166 +289,3 @@ def _show(console: Console, *, best: Optimum, file: Path) -> None:
         console.print(f"proven: no code within the limits is better on {found.proof['domain']}")
     elif best.bound is not None:
         console.print(f"{best.figure}: no code with so many open chips can do better than {number(best.bound)}")
-
-
-_SUMMARY, _CODE = "codes.csv", "code.json"
-_COLUMNS = {
-    "motion": "motion",
-    "open": "open",
-    "min_mtf": "min MTF",
-    "min_chip": "min |P|",
-    "noise_gain_db": "noise, dB",
-    "mse_db": "MSE, dB",
-    "seconds": "s",
-}
-_RESOLVED_PX = 1e4  # a path that tells any chips apart
-_MORE = ("chips", "duty", "bound", "gap", "steps", "stopped", "proven", "bits", "warnings", "failure")
-
-
-def optimize_folder(
-    folder: Path,
-    task: Callable[[StoredMotion, Path], Task],
-    how: Search,
-    tick: Tick,
-    *,
-    figures: Sequence[str] = (),
-    profile: DeviceProfile | None,
-    workers: int | None,
-    dask: str | None,
-    cache: Path | None,
-    output: Path | None,
-    force: bool,
-    as_json: bool,
-) -> Callable[[], None]:
-    """Search and write a code for each motion, one by one; a failure is reported, the others are kept.
-
-    Parameters
-    ----------
-    folder : Path
-        As ``cep calibrate FOLDER`` writes it.
-    task : callable
-        Makes the search along a motion from a file.
-    how : Search
-    tick : Tick
-    figures : sequence of str
-        Figures of merit of the user's own, each ``module:name``.
-    profile : DeviceProfile, optional
-        That must be able to play every code.
-    workers, dask, cache, output, force, as_json
-        As the command's options.
-
-    Returns
-    -------
-    function that prints what was found, and ends the command
-
-    Raises
-    ------
-    ValueError
-        If there are no motions, an output is in the way, or the options suit none of them.
-    """
-    from functools import partial
-
-    from cep.io.files import write_code
-    from cep.io.outputs import claim_folder, write_text
-    from cep.jobs.cells import Cell
-    from cep.jobs.fingerprint import source_version
-    from cep.search.playable import unplayable
-    from cep.workflows.calibrate_folder import motions_in
-    from cep.workflows.optimize import code_from_figures, optimize_motion
-
-    motions = motions_in(folder)
-    tasks, failures = _tasks(folder, motions, task)  # first: it tells what is wrong with the options
-    columns = {**_COLUMNS, **{name: name for name in figures}}
-    target = output or folder
-    claim_folder(target, [_SUMMARY], force=force)
-    for name in motions:
-        claim_folder(target / name, [_CODE], force=force)
-    version = source_version(["cep.workflows.optimize", *(name.partition(":")[0] for name in figures)])
-    own = {"figures": list(figures)} if figures else {}
-    cells = [
-        Cell(
-            (name,),
-            optimize_motion,
-            {"problem": one.problem, "along": one.along, "how": how, **own},
-            version,
-        )
-        for name, one in tasks.items()
-    ]  # fmt: skip
-    codes: dict[str, dict[str, Any]] = {}
-
-    def write(result: Result) -> None:
-        (name,) = result.cell.name
-        told, stored = code_from_figures(result.finished.figures, tasks[name].described)
-        if reason := unplayable(stored.code.bits, profile, stored.code.chip_ns):
-            failures[name] = reason
-            return
-        file = target / name / _CODE
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_code(file, stored)
-        codes[name] = {"file": file, **told}
-
-    outcome = run_folder(
-        cells, tick, noun="codes", cache=cache or target / "cells", workers=workers, dask=dask, write=write
-    )
-    codes = {name: codes[name] for name in tasks if name in codes}
-    failures |= {name: reason for (name,), reason in outcome.failures.items()}
-    if force:
-        for name in failures:
-            discard(target / name, [_CODE])
-    rows = [
-        {"motion": name, **codes.get(name, {}), "failure": failures.get(name, "" if name in codes else NOT_REACHED)}
-        for name in motions
-    ]
-    rows = [{**row, **_own(row.get("figures", {}))} for row in rows]
-    spelt = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
-    target.mkdir(parents=True, exist_ok=True)  # nothing is in it where every motion failed
-    write_text(target / _SUMMARY, summary_csv((*columns, *_MORE), spelt))
-    return partial(
-        finish_folder,
-        {"folder": target, "summary": target / _SUMMARY, "codes": codes, "seed": how.seed},
-        columns,
-        rows,
-        title="a code for each motion (worse direction where unknown)",
-        noun="motions",
-        missing=outcome.missing,
-        warnings=[*outcome.warnings, *(f"{name}: {line}" for name, one in codes.items() for line in one["warnings"])],
-        as_json=as_json,
-    )
-
-
-def _own(figures: Mapping[str, Any]) -> dict[str, float | str | None]:
-    """Lay out figures of the user's own, as JSON has them, for a line of the table: forward / backward."""
-    return {
-        name: " / ".join("-" if one is None else f"{one:.6g}" for one in value) if isinstance(value, list) else value
-        for name, value in figures.items()
-    }
-
-
-def _tasks(
-    folder: Path, motions: dict[str, Path], task: Callable[[StoredMotion, Path], Task]
-) -> tuple[dict[str, Task], dict[str, str]]:
-    """Make every search, or tell why not; what suits no motion whatever is wrong with the options, and raised."""
-    from motdiff.io.trajectories import StoredMotion, read_motion
-    from motdiff.trajectory import Trajectory
-
-    stored: dict[str, StoredMotion] = {}
-    failures: dict[str, str] = {}
-    for name, path in motions.items():
-        try:
-            stored[name] = read_motion(path)
-        except (ValueError, OSError) as error:
-            reason = error.strerror if isinstance(error, OSError) else None
-            failures[name] = reason or str(error).removeprefix(f"{path}: ")
-    tasks: dict[str, Task] = {}
-    for name, motion in stored.items():
-        try:
-            tasks[name] = task(motion, motions[name])
-        except ValueError as error:
-            failures[name] = str(error)
-    if stored and not tasks:
-        try:
-            task(StoredMotion(Trajectory.straight(_RESOLVED_PX)), folder)
-        except ValueError as error:
-            if all(failures[name] == str(error) for name in stored):
-                raise
-    return tasks, failures

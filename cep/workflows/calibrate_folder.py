@@ -1,41 +1,159 @@
-"""Folders of photos and of motions: what is in them, and the motion of one photo as the work of a cell."""
+"""The motion in each photo of a folder: ``cep calibrate FOLDER``."""
 
 from __future__ import annotations
 
-import base64
-import json
-import time
-from collections.abc import Iterable, Mapping
-from contextlib import nullcontext
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from cep.io.files import plain
-from cep.io.images import PHOTO_SUFFIXES, read_image, read_photo
-from cep.jobs.cells import Figure
-from cep.jobs.fingerprint import source_version
-from cep.workflows.calibrate import METHODS, estimate_motion
+from cep.io.images import PHOTO_SUFFIXES, parse_gamma, read_image
+from cep.io.outputs import claim_folder
+from cep.jobs.cells import Cell, Figure
+from cep.jobs.engine import Engine
+from cep.workflows.calibrate import CALIBRATION_FILES, check_options, write_calibration
+from cep.workflows.folders import FolderResults, NotWrittenError, is_spelled, run_folder
+from cep.workflows.photo_cell import estimate_from_figures, estimate_photo, estimator_version
 from motdiff.estimators.base import MotionEstimate
-from motdiff.threads import one_thread
-from motdiff.trajectory import Trajectory
 
-__all__ = [
-    "estimate_from_figures",
-    "estimate_photo",
-    "estimator_version",
-    "motions_in",
-    "photos_in",
-    "sharp_of",
-    "unreadable",
-]
-
-_MOTION = "trajectory.json"
-_WITH_TORCH = ("motdiff", "pmp")
+__all__ = ["calibrate_folder", "describe_motion", "photos_in", "sharp_of", "unreadable"]
 
 
-# -- what is in a folder ----------------------------------------------------------------------------------------------
+_SUMMARY = "motions.csv"
+_COLUMNS = (
+    "photo", "length_px", "extent_px", "direction", "confidence", "seconds", "method", "warnings", "failure",
+)  # fmt: skip
+
+
+def calibrate_folder(
+    folder: Path,
+    output: Path | None = None,
+    *,
+    method: str = "motdiff",
+    samples: int | None = None,
+    sharp: Path | None = None,
+    gamma: str = "srgb",
+    seed: int = 0,
+    cache: Path | None = None,
+    workers: int | None = None,
+    dask: str | None = None,
+    force: bool = False,
+    progress: Callable[[float, str], None] = lambda _fraction, _note: None,
+) -> FolderResults:
+    """Estimate and write the motion in each photo, one by one; one that fails costs no other.
+
+    Parameters
+    ----------
+    folder : Path
+        Photos.
+    output : Path, optional
+        Folder to write into, with a folder for each photo, named like it, and ``motions.csv``; ``FOLDER_motion`` when
+        omitted.
+    method, samples, seed
+        As of :func:`cep.workflows.calibrate.make_estimator`; no "gyro", whose ``start_s`` is that of one photo.
+    sharp : Path, optional
+        For "reference": a sharp photo, or a folder with one for each photo, by name.
+    gamma : str
+        Of the photos, as of :func:`cep.io.images.read_photo`.
+    cache : Path, optional
+        Folder of finished photos; ``cells`` in the output when omitted.
+    workers : int, optional
+        Processes; as many as cores when omitted.
+    dask : str, optional
+        Scheduler of a cluster to run on.
+    force : bool
+        Whether existing files may be replaced.
+    progress : callable, optional
+        Called with the fraction done and a note.
+
+    Returns
+    -------
+    FolderResults
+        After Ctrl-C with the photos finished until then. What is found in a photo is described as
+        :func:`describe_motion` does.
+
+    Raises
+    ------
+    ValueError
+        If there are no photos, a file is in the way, or an option is not valid.
+    """
+    if method == "gyro":
+        raise ValueError("method gyro: start_s is the opening of one photo; give the photos of a folder one by one")
+    check_options(method, {"samples": samples, "sharp": sharp})
+    parse_gamma(gamma)
+    photos = photos_in(folder, but=sharp)
+    sharps = {} if sharp is None else sharp_of(photos, sharp)
+    if sharp is not None and not sharp.is_dir():
+        read_image(sharp, gamma=gamma, variable="x")  # what is wrong with it is wrong with every photo
+    named = folder if folder.name not in ("", "..") else folder.resolve()  # as "." has no name of its own
+    target = output or named.with_name(f"{named.name}_motion")
+    claim_folder(target, [_SUMMARY], force=force)
+    for photo in photos:
+        claim_folder(target / photo.stem, CALIBRATION_FILES, force=force)
+    by_label = {_label(photo): photo for photo in photos}
+    failures = {label: reason for label, photo in by_label.items() if (reason := unreadable(photo))}
+    version = estimator_version(method)
+    cells = [
+        Cell(
+            (label,),
+            estimate_photo,
+            {
+                "photo": photo, "method": method, "samples": samples, "gamma": gamma, "seed": seed,
+                "sharp": sharps.get(photo),
+            },
+            version,
+        )
+        for label, photo in by_label.items()
+        if label not in failures
+    ]  # fmt: skip
+
+    def write(label: str, figures: Mapping[str, Figure]) -> dict[str, Any]:
+        """Write what was found in a photo as ``cep calibrate PHOTO`` does."""
+        photo = by_label[label]
+        try:
+            pixels = read_image(photo, gamma=gamma)
+        except (ValueError, OSError) as error:  # it was there when its motion was estimated, maybe hours ago
+            raise NotWrittenError(f"has changed since: {error}") from None
+        found, warnings = estimate_from_figures(figures)
+        source = {"image": str(photo), "seed": seed}
+        files = write_calibration(target / photo.stem, found, pixels, source=source, force=force)
+        return describe_motion(found, files, seconds=figures["seconds"], warnings=warnings)
+
+    return run_folder(
+        target, {label: target / photo.stem for label, photo in by_label.items()}, cells, noun="photos",
+        files=CALIBRATION_FILES, summary=_SUMMARY, columns=_COLUMNS, failures=failures, write=write,
+        engine=Engine.of(target, cache=cache, workers=workers, dask=dask), force=force, progress=progress,
+    )  # fmt: skip
+
+
+def describe_motion(
+    found: MotionEstimate, files: Mapping[str, Path], *, seconds: Figure, warnings: Sequence[str]
+) -> dict[str, Any]:
+    """Describe a calibration as the JSON of a photo and of a folder has it.
+
+    Parameters
+    ----------
+    found : MotionEstimate
+    files : mapping from a file's name to its path
+        As of :func:`cep.workflows.calibrate.write_calibration`.
+    seconds : float
+        That the estimate took.
+    warnings : sequence of str
+        About the photo and the estimate.
+    """
+    motion = found.best
+    return {
+        "method": found.method,
+        "trajectory": files["trajectory.json"],
+        "psf": files["psf.npy"],
+        "length_px": motion.length_px,
+        "extent_px": motion.extent_px,
+        "direction": motion.direction,
+        "confidence": found.confidence,
+        "seconds": seconds,
+        "warnings": warnings,
+        "files": list(files.values()),
+        "details": found.details,
+    }
 
 
 def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...]:
@@ -76,30 +194,9 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
     return tuple(found)
 
 
-def motions_in(folder: Path | str) -> dict[str, Path]:
-    """List the motions of a folder that :func:`photos_in` led to, ``FOLDER/NAME/trajectory.json``, by name, sorted.
-
-    Raises
-    ------
-    ValueError
-        If there is no such folder, or it holds no motions.
-    """
-    root = Path(folder)
-    if not root.is_dir():
-        raise ValueError(f"{root}: {'is a file, a folder of motions is needed' if root.exists() else 'no such folder'}")
-    found = {path.parent.name: path for path in sorted(root.glob(f"*/{_MOTION}")) if not path.is_dir()}
-    if not found:
-        single = root / _MOTION
-        hint = f"; for a single motion give --trajectory {single}" if single.is_file() else ""
-        raise ValueError(f"{root}: holds no */{_MOTION}, as cep calibrate FOLDER writes them{hint}")
-    if odd := [name for name in found if not _spelled(name)]:
-        raise ValueError(f"{root}: the name {odd[0]!a} is no UTF-8, rename it")
-    return found
-
-
 def unreadable(photo: Path) -> str:
     """Say why a photo cannot even be opened, empty where it can; and a name that no table can hold is refused."""
-    if not _spelled(photo.name):
+    if not is_spelled(photo.name):
         return "the name is no UTF-8, rename it"
     try:
         photo.open("rb").close()
@@ -134,100 +231,6 @@ def sharp_of(photos: Iterable[Path], sharp: Path | str) -> dict[Path, Path]:
     return pairs
 
 
-def _spelled(name: str) -> bool:
-    try:
-        name.encode("utf-8")
-    except UnicodeEncodeError:  # bytes that the file system had and Python keeps as lone surrogates
-        return False
-    return True
-
-
-# -- one photo --------------------------------------------------------------------------------------------------------
-
-
-def estimate_photo(
-    *,
-    photo: Path,
-    method: str,
-    samples: int | None = None,
-    gamma: str = "srgb",
-    seed: int = 0,
-    sharp: Path | None = None,
-) -> dict[str, Figure]:
-    """Estimate the motion in a photo on one thread: the work of a cell, see :mod:`cep.jobs.engine`.
-
-    Parameters
-    ----------
-    photo : Path
-    method, samples, seed
-        As of :func:`cep.workflows.calibrate.make_estimator`, any method but "gyro".
-    gamma : str
-        Of the photos, as of :func:`cep.io.images.read_photo`.
-    sharp : Path, optional
-        For "reference".
-
-    Returns
-    -------
-    dict
-        ``estimate`` and ``warnings`` of the file, as texts for :func:`estimate_from_figures`, and ``seconds``.
-
-    Raises
-    ------
-    ValueError
-        If the photo cannot be read, has no texture, or the estimator refuses it.
-    """
-    try:
-        read = read_photo(photo, gamma=gamma)
-        sharp_pixels = None if sharp is None else read_image(sharp, gamma=gamma, variable="x")
-        began_s = time.perf_counter()
-        # as many as there are workers run at once, and sums must not depend on how many do
-        with one_thread() if method in _WITH_TORCH else nullcontext():
-            found = estimate_motion(read.pixels, method=method, samples=samples, seed=seed, sharp=sharp_pixels)
-    except ValueError as error:
-        raise ValueError(str(error).removeprefix(f"{photo}: ")) from None
-    seconds = time.perf_counter() - began_s
-    warnings = [*(line.removeprefix(f"{photo}: ") for line in read.warnings), *found.warnings]
-    return {"estimate": _text_of(found), "warnings": json.dumps(warnings), "seconds": seconds}
-
-
-def estimate_from_figures(figures: Mapping[str, Figure]) -> tuple[MotionEstimate, list[str]]:
-    """Return the estimate as it was, to the last bit, and the warnings about it and its photo."""
-    stored: dict[str, Any] = json.loads(str(figures["estimate"]))
-    paths = tuple(Trajectory(path["t"], np.array(path["xy"]), path["direction"]) for path in stored.pop("trajectories"))
-    psf = np.frombuffer(base64.b64decode(stored["psf"]["data"]), dtype="<f8").reshape(stored["psf"]["shape"])
-    warnings = json.loads(str(figures["warnings"]))
-    found = MotionEstimate(
-        stored["method"], paths, tuple(stored["weights"]), psf, stored["confidence"], details=stored["details"]
-    )
-    return found, warnings
-
-
-def estimator_version(method: str) -> str:
-    """Fingerprint of all that makes an estimate: the code and, where there are, the weights."""
-    files = []
-    if method == "motdiff":
-        from motdiff.weights import DEFAULT_WEIGHTS
-
-        files.append(DEFAULT_WEIGHTS)
-    named = f"motdiff.estimators.{method}" if method in METHODS else method.partition(":")[0]
-    followed = [named, "motdiff.simulate"]
-    decoding = ["cep.io.images", "motdiff.io.decoding"]
-    return source_version(followed, alone=[__name__, "cep.workflows.calibrate", *decoding], files=files)
-
-
-def _text_of(found: MotionEstimate) -> str:
-    """Spell an estimate without its warnings; floats come back as they were."""
-    psf = np.ascontiguousarray(found.psf, dtype="<f8")
-    return json.dumps(
-        {
-            "method": found.method,
-            "trajectories": [
-                {"t": path.t.tolist(), "xy": path.xy.tolist(), "direction": path.direction}
-                for path in found.trajectories
-            ],
-            "weights": [float(weight) for weight in found.weights],
-            "psf": {"shape": psf.shape, "data": base64.b64encode(psf.tobytes()).decode()},
-            "confidence": float(found.confidence),
-            "details": plain(found.details),
-        }
-    )
+def _label(photo: Path) -> str:
+    """Return the photo's name as it can be printed, whatever bytes it has."""
+    return photo.name.encode("utf-8", "backslashreplace").decode()

@@ -2,6 +2,7 @@
 
 import io
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from cep.bench.blind.report import blind_tables
 from cep.bench.codes import CODE_HEAD
 from cep.cli.console import Table, table
 from cep.cli.jobs import finish_folder, show_tables
+from cep.workflows.folders import FolderResults
 
 WIDTHS = (60, 80, 120)
 
@@ -134,13 +136,11 @@ def test_the_tables_of_the_benchmarks_at_every_width(monkeypatch):
 def test_the_table_of_a_folder_says_what_failed_at_every_width(capsys, monkeypatch):
     heads = {"photo": "photo", **{f"figure{index}": f"figure {index}, px" for index in range(9)}}
     row = {"photo": "DSC01234567890123456789.ARW", **{f"figure{index}": 1.25 for index in range(9)}}
+    found = FolderResults(Path(), Path("motions.csv"), {}, [{**row, "failure": "is gone"}], 0, [])
     for width in WIDTHS:
         monkeypatch.setenv("COLUMNS", str(width))
         with pytest.raises(typer.Exit):
-            finish_folder(
-                {"summary": "motions.csv"}, heads, [{**row, "failure": "is gone"}], title="", noun="photos", missing=0,
-                warnings=[], as_json=False,
-            )  # fmt: skip
+            finish_folder({"summary": "motions.csv"}, heads, found, title="", noun="photos", as_json=False)
         out = capsys.readouterr().out
         assert " failed" in out
         assert "DSC0123456789012" in out

@@ -14,7 +14,9 @@ from cep.io.files import read_psf
 from cep.io.images import write_image
 from cep.jobs.engine import run_cells
 from cep.workflows.calibrate import CALIBRATION_FILES
-from cep.workflows.calibrate_folder import estimate_from_figures, estimate_photo, motions_in, photos_in, sharp_of
+from cep.workflows.calibrate_folder import calibrate_folder, photos_in, sharp_of
+from cep.workflows.optimize_folder import motions_in
+from cep.workflows.photo_cell import estimate_from_figures, estimate_photo
 from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
@@ -244,9 +246,9 @@ def test_each_photo_is_written_before_the_next_one_is_begun(cep, shots, guesses,
 @pytest.mark.parametrize("stopped_at", [1, 2])
 def test_stopped_while_processes_work_it_keeps_what_came_and_tells(cep, shots, monkeypatch, stopped_at):
     """Ctrl-C in the midst of writing: that photo is finished, the others of the pool are left out."""
-    from cep.workflows import calibrate
+    from cep.workflows import calibrate_folder
 
-    real, begun = calibrate.write_calibration, []
+    real, begun = calibrate_folder.write_calibration, []
 
     def interrupted(folder, *arguments, **options):
         begun.append(Path(folder).name)
@@ -254,7 +256,7 @@ def test_stopped_while_processes_work_it_keeps_what_came_and_tells(cep, shots, m
             raise KeyboardInterrupt
         return real(folder, *arguments, **options)
 
-    monkeypatch.setattr(calibrate, "write_calibration", interrupted)
+    monkeypatch.setattr(calibrate_folder, "write_calibration", interrupted)
     cep(*REFERENCE[:-1], "2", "--json")
     assert cep.code == INTERRUPTED
     done = {Path(name).stem for name in cep.json["photos"]}
@@ -273,7 +275,7 @@ def test_a_photo_that_goes_meanwhile_loses_no_other(cep, shots, guesses, monkeyp
             raise FileNotFoundError(2, "No such file or directory", str(path))
         return real(path, **options)
 
-    monkeypatch.setattr("cep.io.images.read_image", vanishing)
+    monkeypatch.setattr("cep.workflows.calibrate_folder.read_image", vanishing)
     cep(*REFERENCE, "--json")
     assert cep.code == FAILURE
     assert list(cep.json["failures"]) == ["b.tif"]
@@ -384,3 +386,22 @@ def test_motions_are_found_as_they_were_written(cep, shots, guesses):
     motions = motions_in("shots_motion")
     assert list(motions) == [Path(name).stem for name in MOTIONS]
     assert all(json.loads(path.read_text())["schema"] == "cep.trajectory/1" for path in motions.values())
+
+
+def test_from_python_it_gives_what_the_command_prints(cep, shots, guesses):
+    told = []
+    made = calibrate_folder(
+        Path("shots"), method="reference", sharp=Path("sharp.png"), workers=1,
+        progress=lambda fraction, note: told.append((fraction, note)),
+    )  # fmt: skip
+    assert (made.folder, made.summary, made.missing) == (Path("shots_motion"), Path("shots_motion/motions.csv"), 0)
+    assert (told[0], told[-1][0]) == ((0.0, "0 of 3 photos"), 1.0)
+    printed = cep.succeeds(*REFERENCE, "--force")  # found on disk
+    assert guesses.calls == 3
+    assert list(made.found) == list(printed["photos"]) == [row["photo"] for row in made.rows]
+    assert [one["length_px"] for one in made.found.values()] == [one["length_px"] for one in printed["photos"].values()]
+    assert made.warnings == printed["warnings"]
+    with pytest.raises(ValueError, match=r"motions\.csv: exists already"):
+        calibrate_folder(Path("shots"), method="reference", sharp=Path("sharp.png"))
+    with pytest.raises(ValueError, match="start_s is the opening of one photo"):
+        calibrate_folder(Path("shots"), Path("other"), method="gyro")

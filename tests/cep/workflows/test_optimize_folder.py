@@ -8,7 +8,12 @@ import pytest
 
 from cep.cli.console import FAILURE, INTERRUPTED
 from cep.io.files import read_code
+from cep.optics.camera import Camera
 from cep.search import recipe
+from cep.search.problem import SearchProblem
+from cep.workflows.optimize import Search
+from cep.workflows.optimize_folder import optimize_folder
+from cep.workflows.search_options import Task
 from motdiff.io.trajectories import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory
 
@@ -226,3 +231,20 @@ def test_refusals(cep, motions, arguments, prepared, message):
         prepared(motions)
     assert message in cep.refuses("optimize", "--chips", "12", "--steps", "3000", *arguments)
     assert not Path("motions/codes.csv").exists()
+
+
+def test_from_python_each_motion_has_its_own_search(motions):
+    def task(stored, path):
+        if path.parent.name == "a":
+            raise ValueError("no code for this one")
+        motion = stored.trajectory
+        problem = SearchProblem.along(motion, chips=8, open_range=(4, 4), objective="mse", camera=Camera())
+        return Task(problem, motion, {"trajectory": str(path)})
+
+    made = optimize_folder(Path("motions"), task, Search(steps=500, seed=1), Path("codes"), workers=1)
+    assert (made.folder, made.summary, made.missing) == (Path("codes"), Path("codes/codes.csv"), 0)
+    assert list(made.found) == ["b[1]", "c"]
+    assert [row["failure"] for row in made.rows] == ["no code for this one", "", ""]
+    for name, one in made.found.items():
+        assert one["file"] == Path("codes", name, "code.json")
+        assert read_code(one["file"]).code.open_chips == 4
