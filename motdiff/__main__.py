@@ -1,4 +1,4 @@
-"""``python -m motdiff``: train, prepare, pack, sample, eval, export."""
+"""``python -m motdiff``: train, prepare, pack, sample, export."""
 
 import sys
 
