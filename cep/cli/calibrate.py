@@ -26,21 +26,36 @@ _WITH_GYRO, _WITH_MOTDIFF = "With --method gyro", "With --method motdiff"
 
 
 def calibrate(
-    image: Annotated[
-        Path, typer.Argument(metavar="IMAGE", help="Blurred photo: PNG, TIFF, JPEG, WebP or RAW; or a folder of such.")
+    images: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="IMAGE...",
+            help="Blurred photo: PNG, TIFF, JPEG, WebP or RAW; or a folder of such. With --code, photos of one motion.",
+        ),
     ],
     output: Annotated[
         Path | None, output_option("Folder to write into; IMAGE_motion when omitted.", metavar="FOLDER")
     ] = None,
+    code: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--code",
+            metavar="CODE",
+            help="Code that the photo was taken through: bits, code.json, a published name, or open; once for each "
+            "photo, in order. The path is then found with its order in time.",
+        ),
+    ] = None,
     method: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--method",
             metavar="NAME",
+            show_default="motdiff; coded with --code",
             help="motdiff (blind, diffusion model), pmp (blind, classical), reference (beside a sharp photo), "
-            "point (of a small light), gyro (from a recording), or module:name of an estimator of your own.",
+            "point (of a small light, also with --code), gyro (from a recording), coded (with --code), or "
+            "module:name of an estimator of your own.",
         ),
-    ] = "motdiff",
+    ] = None,
     sharp: Annotated[
         Path | None,
         typer.Option(
@@ -100,7 +115,10 @@ def calibrate(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Estimate the motion in one blurred photo, or in each photo of a folder.
+    """Estimate the motion in one blurred photo, in each photo of a folder, or from photos taken through known codes.
+
+    A photo with an open shutter shows the path, but neither its order nor its direction in time. Photos of the same
+    motion through known codes (one may be open; cep calibration-set designs them) show these too.
 
     Writes trajectory.json, psf.npy, psf.mat, psf.png, map.png and preview.png; of a folder, into a folder for each
     photo, named like it, and motions.csv. Finished photos are kept: stopped by Ctrl-C, the same command with --force
@@ -109,11 +127,19 @@ def calibrate(
     Example: cep calibrate blurred.jpg -o motion
 
     Example: cep calibrate shots -o shots_motion --workers 4
+
+    Example: cep calibrate open.png coded.png --code open --code code.json -o motion
     """
+    method = method or ("coded" if code else "motdiff")
     options = {
         "samples": samples, "sharp": sharp, "gyro": gyro, "focal_px": focal,
-        "start_s": start, "exposure_s": exposure, "rate_unit": gyro_unit,
+        "start_s": start, "exposure_s": exposure, "rate_unit": gyro_unit, "codes": code,
     }  # fmt: skip
+    image = images[0]
+    if len(images) > 1 and not code:
+        raise ValueError(
+            f"IMAGE: several photos need --code, one for each, got {len(images)} photos; or give their folder"
+        )
     if image.is_dir():
         _calibrate_folder(
             image, method, options, gamma=gamma, seed=seed, workers=workers, dask=dask, cache=cache, output=output,
@@ -123,6 +149,7 @@ def calibrate(
     only_of_folders("cep calibrate FOLDER", workers, dask, cache)
     with progress(f"estimating the motion ({method})") as tick:
         tick(0.0, "reading the photo")
+        from cep.codes.sources import load_codes
         from cep.io.images import parse_gamma, read_image, read_photo
         from cep.io.outputs import claim_folder
         from cep.workflows.calibrate import (
@@ -131,15 +158,21 @@ def calibrate(
             estimate_motion,
         )
         from cep.workflows.calibrate_folder import describe_motion
+        from motdiff.estimators.coded.codes import check_codes
         from motdiff.io.gyro_tables import read_gyro
 
         check_options(method, options)
+        codes = load_codes(code) if code else None
+        if codes is not None:
+            if len(codes) != len(images):
+                raise ValueError(f"--code: needs one for each photo, got {len(codes)} for {len(images)} photos")
+            check_codes([one.bits for one in codes])
         if gyro_unit not in (None, "rad", "deg"):
             raise ValueError(f"--gyro-unit: must be rad or deg, got {gyro_unit!r}")
         parse_gamma(gamma)
         folder = output or image.with_name(f"{image.stem}_motion")
         claim_folder(folder, CALIBRATION_FILES, force=force)
-        photo = read_photo(image, gamma=gamma)
+        photos = [read_photo(one, gamma=gamma) for one in images]
         sharp_photo = None if sharp is None else read_image(sharp, gamma=gamma, variable="x")
         recording = None if gyro is None else read_gyro(gyro, rate_unit=cast(Any, gyro_unit))
         started = time.perf_counter()
@@ -147,7 +180,7 @@ def calibrate(
         tick(begins, "estimating")
         try:
             found = estimate_motion(
-                photo.pixels,
+                [one.pixels for one in photos] if codes else photos[0].pixels,
                 method=method,
                 samples=samples,
                 seed=seed,
@@ -156,18 +189,24 @@ def calibrate(
                 focal_px=focal,
                 start_s=start,
                 exposure_s=exposure,
+                codes=codes,
                 progress=part(tick, begins, ends),
             )
         except ValueError as error:
             if str(error).partition(": ")[0] in options:  # it is an option that is wrong, not the photo
                 raise
-            raise ValueError(f"{image}: {error}") from None
+            raise ValueError(f"{image}: {error}" if len(images) == 1 else str(error)) from None
         seconds = time.perf_counter() - started
         tick(ends, "writing")
-        files = found.save(folder, source={"image": str(image), "seed": seed}, force=force)
+        source = {"image": str(image), "seed": seed}
+        if codes is not None:
+            source |= {"images": [str(one) for one in images], "codes": [one.bits for one in codes]}
+        files = found.save(folder, source=source, force=force)
         tick(1.0)
     motion = found.best
-    result = describe_motion(found, files, seconds=seconds, warnings=[*photo.warnings, *found.warnings])
+    result = describe_motion(
+        found, files, seconds=seconds, warnings=[*(line for one in photos for line in one.warnings), *found.warnings]
+    )
     finish(result, as_json=as_json, show=lambda console: console.print(
         f"{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, direction {motion.direction}; "
         f"confidence {found.confidence:.2f}; {found.method}, {seconds:.1f} s"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from cep.io.files import StoredCode, read_code
 from cep.optics.code import ShutterCode
 from motdiff.io.plugins import is_reference, load_object
 
-__all__ = ["code_file", "code_label", "find_code", "load_code"]
+__all__ = ["code_file", "code_label", "find_code", "load_code", "load_codes"]
 
 
 def load_code(source: str, *, chip_ns: int | None = None) -> ShutterCode:
@@ -23,6 +24,20 @@ def load_code(source: str, *, chip_ns: int | None = None) -> ShutterCode:
     ShutterCode(bits='11100101', chip_ns=250000)
     """
     return find_code(source, chip_ns=chip_ns).code
+
+
+def load_codes(sources: Sequence[str]) -> tuple[ShutterCode, ...]:
+    """Return the codes of several photos of one motion; ``open`` has the chips of the others.
+
+    Examples
+    --------
+    >>> [code.bits for code in load_codes(["open", "bdinr-8"])]
+    ['11111111', '11100101']
+    """
+    known = [None if source == "open" else load_code(source) for source in sources]
+    chips, chip_ns = next(((len(code.bits), code.chip_ns) for code in known if code is not None), (1, None))
+    whole = ShutterCode("1" * chips) if chip_ns is None else ShutterCode("1" * chips, chip_ns)
+    return tuple(code or whole for code in known)
 
 
 def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from importlib import import_module
 from pathlib import Path
@@ -14,9 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from cep.io.files import write_psf
 from cep.io.images import write_image
 from cep.io.outputs import new_folder
+from cep.optics.code import ShutterCode
 from cep.plots import png_bytes, save, trajectory_figure
 from motdiff.crops import LEAST_PX, check_size
 from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
+from motdiff.estimators.coded.codes import check_codes
 from motdiff.gyro import GyroTrace
 from motdiff.io.plugins import is_reference
 from motdiff.io.trajectories import StoredMotion, write_motion
@@ -36,18 +38,24 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-METHODS = ("motdiff", "pmp", "reference", "point", "gyro")
-"""Names of the estimators: blind by diffusion model and classically, with a sharp photo, of a light, by gyroscope."""
+METHODS = ("motdiff", "pmp", "reference", "point", "gyro", "coded")
+"""Names of the estimators: blind by diffusion model and classically, with a sharp photo, of a light, by gyroscope,
+from photos taken through known codes."""
 
 CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png")
 """What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field."""
 
-_LEAST_PX = {"motdiff": PSF_PX, "pmp": LEAST_PX}  # their smallest_px, known before anything slow is loaded
+_LEAST_PX = {
+    "motdiff": PSF_PX,
+    "pmp": LEAST_PX,
+    "coded": LEAST_PX,
+}  # their smallest_px, known before anything slow is loaded
 _LEAST_CONTRAST = 2 / 255
-_LOADING = {"motdiff": (0.12, 0.28, 0.36), "pmp": (0.12, 0.26, 0.32)}
+_LOADING = {"motdiff": (0.12, 0.28, 0.36), "pmp": (0.12, 0.26, 0.32), "coded": (0.02, 0.05, 0.06)}
 """Of an estimate's share: torch is on its way, is there, and so is the estimator; docs/decisions/code.md."""
-_NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}}
-_ALLOWED = {"motdiff": {"samples"}, "gyro": {"rate_unit"}}
+_NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}, "coded": {"codes"}}
+_ALLOWED = {"motdiff": {"samples"}, "gyro": {"rate_unit"}, "point": {"codes"}}
+_TRAIL_GAP_PX = 10  # of a light's trail through a code
 
 
 def check_options(method: str, options: Mapping[str, object]) -> None:
@@ -85,6 +93,7 @@ def make_estimator(
     focal_px: float | None = None,
     start_s: float | None = None,
     exposure_s: float | None = None,
+    codes: Sequence[ShutterCode] | None = None,
     progress: Callable[[float, str], None] = lambda _share, _what: None,
 ) -> Estimator:
     """Make the estimator of a name.
@@ -100,6 +109,8 @@ def make_estimator(
         For "reference": a sharp photo of the same scene.
     gyro, focal_px, start_s, exposure_s
         For "gyro": the recording, the focal length in px, and when on the recording's clock the shutter was open.
+    codes : sequence of ShutterCode, optional
+        For "coded" and "point": of each photo, in order.
     progress : callable, optional
         Called with the finished share 0..1 of loading and estimating, and what is being done, by methods that take
         long.
@@ -118,6 +129,7 @@ def make_estimator(
             "focal_px": focal_px,
             "start_s": start_s,
             "exposure_s": exposure_s,
+            "codes": codes,
         },
     )
     if is_reference(method):
@@ -136,11 +148,13 @@ def make_estimator(
         from motdiff.estimators.gyro import GyroEstimator
 
         return GyroEstimator(gyro, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s)
-    if method == "point":
+    if method == "point" and codes is None:
         from motdiff.estimators.point import PointEstimator
 
         return PointEstimator()
-    torch_begun, torch_there, loaded = _LOADING[method]
+    torch_begun, torch_there, loaded = _LOADING[
+        "motdiff" if method == "motdiff" else "pmp" if codes is None else "coded"
+    ]
 
     def tell(share: float) -> None:
         progress((1 - share) * loaded + share, "searching the motion")
@@ -149,7 +163,13 @@ def make_estimator(
     import_module("torch")  # half of what there is to load
     progress(torch_there, "loading the network" if method == "motdiff" else "loading the search")
     made: Estimator
-    if method == "pmp":
+    if codes is not None:
+        from motdiff.estimators.coded.estimator import CodedEstimator
+        from motdiff.estimators.point import PointEstimator
+
+        lights = PointEstimator(gap_px=_TRAIL_GAP_PX) if method == "point" else None
+        made = CodedEstimator([code.bits for code in codes], kernels=lights, seed=seed, progress=tell)
+    elif method == "pmp":
         from motdiff.estimators.pmp import PmpEstimator
 
         made = PmpEstimator(progress=tell)
@@ -201,17 +221,21 @@ def estimate_motion(
     focal_px: float | None = None,
     start_s: float | None = None,
     exposure_s: float | None = None,
+    codes: Sequence[ShutterCode] | None = None,
     progress: Callable[[float, str], None] = lambda _share, _what: None,
 ) -> Calibration:
-    """Estimate the camera's motion from a blurred photo.
+    """Estimate the camera's motion from a blurred photo, or from photos of one motion taken through known codes.
 
     Parameters
     ----------
-    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1; with ``codes`` a sequence of such
     method : str or Estimator
         One of :data:`METHODS`; an estimator of your own, or its ``module:name``.
     samples, seed, sharp, gyro, focal_px, start_s, exposure_s, progress
         As of :func:`make_estimator`.
+    codes : sequence of ShutterCode, optional
+        The code of each photo, all open for an open shutter: the order in time of the motion is found as well. The
+        method is then "coded" or, of small lights, "point".
 
     Raises
     ------
@@ -231,8 +255,10 @@ def estimate_motion(
     """
     options: dict[str, Any] = {
         "samples": samples, "sharp": sharp, "gyro": gyro, "focal_px": focal_px, "start_s": start_s,
-        "exposure_s": exposure_s,
+        "exposure_s": exposure_s, "codes": codes,
     }  # fmt: skip
+    if codes is not None:
+        return _from_codes(photo, options, method=method, codes=codes, seed=seed, progress=progress)
     if isinstance(method, str):
         check_options(method, options)
         check_photo(photo, method)  # before anything slow is loaded
@@ -245,6 +271,27 @@ def estimate_motion(
     pixels = _as_light(photo)
     found = estimator.estimate(pixels)
     return Calibration(**{one.name: getattr(found, one.name) for one in fields(MotionEstimate)}, photo=pixels)
+
+
+def _from_codes(
+    photos: ArrayLike | Sequence[ArrayLike], options: dict[str, Any], *, method: str | Estimator,
+    codes: Sequence[ShutterCode], seed: int, progress: Callable[[float, str], None],
+) -> Calibration:  # fmt: skip
+    kind = "coded" if method == "motdiff" else method
+    if not isinstance(kind, str):
+        raise ValueError("codes: not valid with an estimator of your own")
+    check_options(kind, options)
+    check_codes([code.bits for code in codes])
+    given = list(photos) if isinstance(photos, Sequence) else [photos]
+    if len(given) != len(codes):
+        raise ValueError(f"codes: needs one for each photo, got {len(codes)} for {len(given)} photos")
+    for one in given:
+        check_photo(one, kind)
+    estimator = make_estimator(kind, seed=seed, progress=progress, **options)
+    assert hasattr(estimator, "estimate_from")
+    found: MotionEstimate = estimator.estimate_from([_as_light(one) for one in given])
+    fitted = {one.name: getattr(found, one.name) for one in fields(MotionEstimate)}
+    return Calibration(**fitted, photo=_as_light(given[0]))
 
 
 def _as_light(photo: ArrayLike) -> FloatArray:

@@ -11,13 +11,14 @@ from scipy import ndimage
 
 from motdiff.crops import LEAST_PX, textured_luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.search import Exposures, FoundPath, find_paths
 from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX
 from motdiff.threads import one_thread_a_call
 from motdiff.trajectory import Trajectory
 
-__all__ = ["CodedEstimator", "check_codes"]
+__all__ = ["CodedEstimator"]
 
 FloatArray = NDArray[np.float64]
 
@@ -29,33 +30,8 @@ _BLIND_WEIGHT, _LEAST_TRUST = 300.0, 0.15  # a blind kernel's error: about a ten
 # log odds of the right order: docs/decisions/motion-estimation.md
 _ODDS_OFFSET, _ODDS_GAP, _ODDS_MISFIT = -1.0, 1.0, 4.0
 _UNEXPLAINED = 1.5
+_MOST_SNR = 100.0  # pixels are no exact hats
 _MOST_ALTERNATIVES = 3
-
-
-def check_codes(codes: Sequence[str]) -> None:
-    """Refuse codes from which no order in time can be told.
-
-    Parameters
-    ----------
-    codes : sequence of str
-        Bits, one code per photo.
-
-    Raises
-    ------
-    ValueError
-        If a code has no open chip, their numbers of chips differ, or all of them are open throughout.
-    """
-    for i, code in enumerate(codes, 1):
-        if not code or set(code) - set("01") or "1" not in code:
-            raise ValueError(f"code {i}: needs bits with at least one open chip, got {code[:40]!r}")
-        if len(code) != len(codes[0]):
-            raise ValueError(
-                f"code {i}: has {len(code)} chips, the first one {len(codes[0])}; one motion is divided in one way"
-            )
-    if all("0" not in code for code in codes):
-        raise ValueError(
-            "code: order cannot be known from photos with the shutter open throughout; take one through a code"
-        )
 
 
 class CodedEstimator:
@@ -74,7 +50,8 @@ class CodedEstimator:
     codes : sequence of str
         Bits of each photo's code, in the order of the photos; "1" throughout for an open shutter.
     kernels : Estimator, optional
-        What searches the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when omitted.
+        What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when omitted. Kernels that it
+        gives with an ``snr`` among their details are measured, those of lights, and are believed by that.
     begin : Trajectory, optional
         A path that is known to be near.
     seed : int
@@ -168,11 +145,10 @@ class CodedEstimator:
         light = [code.count("1") for code in self._codes]
         order = sorted(range(len(light)), key=lambda i: -light[i])
         level = np.array([greys[i].mean() / light[i] for i in order])
-        trust = np.array([found[i].confidence for i in order])
         return Exposures(
             codes=tuple(self._codes[i] for i in order),
             kernels=tuple(found[i].psf for i in order),
-            weights=_BLIND_WEIGHT * np.clip(trust, _LEAST_TRUST, 1) ** 2,
+            weights=np.array([_weight(found[i]) for i in order]),
             gains=level / level[0],
             photos=tuple(greys[i] for i in order) if _are_one_scene(greys) else (),
         )
@@ -182,6 +158,14 @@ def _factor(estimate: MotionEstimate) -> int:
     """How much smaller a photo was made before its kernel was found."""
     scale = estimate.details.get("scale", 1.0)
     return round(1 / scale) if isinstance(scale, float) and estimate.confidence >= 0.5 else 1
+
+
+def _weight(estimate: MotionEstimate) -> float:
+    """Inverse of the relative squared error expected of a kernel, times the values that it is spread over."""
+    snr = estimate.details.get("snr")
+    if isinstance(snr, float):
+        return max(_BLIND_WEIGHT, min(snr, _MOST_SNR) ** 2 * float(np.count_nonzero(estimate.psf)))
+    return _BLIND_WEIGHT * max(_LEAST_TRUST, estimate.confidence) ** 2
 
 
 def _are_one_scene(photos: Sequence[FloatArray]) -> bool:

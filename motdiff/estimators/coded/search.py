@@ -32,6 +32,7 @@ FloatArray = NDArray[np.float64]
 
 _KNOTS = 53
 _SATURATION = 60.0
+_MEASURED = 3000.0  # weight above which kernels are measured, not found blind
 _LOOSE, _STIFF = 0.3, 30.0  # roughness beside kernels, beside photos: second differences of 0.2 px
 _DISTINCT_PX = 0.3
 _SIDE_STEP_PX = 6  # photos are cut to sides that the three grids divide
@@ -119,18 +120,9 @@ class _Search:
         self.otfs = CodedOtfs(exposures.codes, _KNOTS)
         self.loose, self.stiff = Roughness(self.unknowns, _LOOSE), Roughness(self.unknowns, _STIFF)
 
-        def kernels(sigma_px: float, saturation: float | None = None) -> KernelTerm:
-            return KernelTerm(
-                self.unknowns,
-                self.otfs,
-                exposures.kernels,
-                sigma_px=sigma_px,
-                weights=exposures.weights,
-                saturation=saturation,
-            )
-
-        self.kernels = {sigma: kernels(sigma) for sigma in (4.0, 2.5, 1.5)}
-        self.sharpest = kernels(1.0, _SATURATION)
+        self.kernels = {sigma: self._kernels_at(sigma) for sigma in (4.0, 2.5, 1.5)}
+        self.measured = float(exposures.weights.min()) > _MEASURED
+        self.sharpest = self._kernels_at(1.0, None if self.measured else _SATURATION)
         self.centroids = torch.tensor(np.array([centroid_px(kernel)[::-1] for kernel in exposures.kernels]))
         self.scenes = [
             SceneTerm(self.unknowns, self.otfs, spectra, path_error_px=error_px)
@@ -143,7 +135,10 @@ class _Search:
         self.spend(0.25)
         x, costs = self._evolved(coarse, x, costs, rounds=_ROUNDS, steps=5, keep=_KEPT, share=0.4)
         if not self.scenes:
-            return self._described(coarse, x, costs)
+            last: list[Term] = [self._kernels_at(0.5) if self.measured else self.sharpest, self.loose]
+            x, costs = self._best(last, x[:3], steps=20, keep=3)
+            self.spend(0.35)
+            return self._described(last, x, costs)
         fine: list[Term] = [self.scenes[1], self.sharpest, self.stiff]
         x, costs = self._best(fine, x[:6], steps=6, keep=6)
         x, costs = self._evolved(fine, x, costs, rounds=_FINE_ROUNDS, steps=4, keep=5, share=0.2)
@@ -151,6 +146,12 @@ class _Search:
         x, costs = self._best(finest, x[:3], steps=12, keep=3)
         self.spend(0.15)
         return self._described(finest, x, costs)
+
+    def _kernels_at(self, sigma_px: float, saturation: float | None = None) -> KernelTerm:
+        known = self.exposures
+        return KernelTerm(
+            self.unknowns, self.otfs, known.kernels, sigma_px=sigma_px, weights=known.weights, saturation=saturation
+        )
 
     def _spectra(self) -> list[SceneSpectra]:
         """Spectra of the photos on three grids, coarse to fine; none where the scene is not shared or too small."""

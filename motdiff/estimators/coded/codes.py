@@ -1,0 +1,33 @@
+"""Which codes show the order in time of a motion, checked before anything slow is loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+__all__ = ["check_codes"]
+
+
+def check_codes(codes: Sequence[str]) -> None:
+    """Refuse codes from which no order in time can be told.
+
+    Parameters
+    ----------
+    codes : sequence of str
+        Bits, one code per photo.
+
+    Raises
+    ------
+    ValueError
+        If a code has no open chip, their numbers of chips differ, or all of them are open throughout.
+    """
+    for i, code in enumerate(codes, 1):
+        if not code or set(code) - set("01") or "1" not in code:
+            raise ValueError(f"code {i}: needs bits with at least one open chip, got {code[:40]!r}")
+        if len(code) != len(codes[0]):
+            raise ValueError(
+                f"code {i}: has {len(code)} chips, the first one {len(codes[0])}; one motion is divided in one way"
+            )
+    if all("0" not in code for code in codes):
+        raise ValueError(
+            "code: order cannot be known from photos with the shutter open throughout; take one through a code"
+        )
