@@ -207,9 +207,15 @@ def calibrate(
     result = describe_motion(
         found, files, seconds=seconds, warnings=[*(line for one in photos for line in one.warnings), *found.warnings]
     )
+    sure = f"direction {motion.direction}; confidence {found.confidence:.2f}"
+    if codes is not None:
+        sure = (
+            f"in this order in time with probability {found.confidence:.2f}, and then exact to "
+            f"{result['path_uncertainty_px']:.2g} px"
+        )
     finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, direction {motion.direction}; "
-        f"confidence {found.confidence:.2f}; {found.method}, {seconds:.1f} s"
+        f"{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, {sure}; "
+        f"{found.method}, {seconds:.1f} s"
     ))  # fmt: skip
 
 

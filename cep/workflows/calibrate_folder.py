@@ -149,6 +149,7 @@ def describe_motion(
         "extent_px": motion.extent_px,
         "direction": motion.direction,
         "confidence": found.confidence,
+        **{name: found.details[name] for name in ("order_confidence", "path_uncertainty_px") if name in found.details},
         "seconds": seconds,
         "warnings": warnings,
         "files": list(files.values()),

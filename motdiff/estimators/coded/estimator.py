@@ -12,7 +12,7 @@ from scipy import ndimage
 from motdiff.crops import LEAST_PX, textured_luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
-from motdiff.estimators.coded.search import Exposures, FoundPath, find_paths
+from motdiff.estimators.coded.search import UNEXPLAINED, Exposures, FoundPath, find_paths
 from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX
 from motdiff.threads import one_thread_a_call
@@ -29,7 +29,6 @@ _KERNEL_SHARE, _FIT_SHARE = 0.45, 0.55  # of the time
 _BLIND_WEIGHT, _LEAST_TRUST = 300.0, 0.15  # a blind kernel's error: about a tenth of its square
 # log odds of the right order: docs/decisions/motion-estimation.md
 _ODDS_OFFSET, _ODDS_GAP, _ODDS_MISFIT = -1.0, 1.0, 4.0
-_UNEXPLAINED = 1.5
 _MOST_SNR = 100.0  # pixels are no exact hats
 _MOST_ALTERNATIVES = 3
 
@@ -122,9 +121,7 @@ class CodedEstimator:
                 found = self._kernels_of(greys, progress)
             exposures = self._exposures(greys, found)
             rng = np.random.default_rng(self._seed)
-            paths = find_paths(
-                exposures, rng=rng, begin=self._begin, spend=lambda part: progress.spend(part * _FIT_SHARE)
-            )
+            paths = find_paths(exposures, rng=rng, begin=self._begin, progress=progress, cost=_FIT_SHARE)
             estimate = _described(paths, exposures, found, factor)
             progress.finish()
             return estimate
@@ -193,7 +190,7 @@ def _described(
             f"the order in time is uncertain (confidence {probability:.2f}): take more photos of this motion through "
             "other codes, as cep calibration-set designs them"
         )
-    if best.misfit > _UNEXPLAINED:
+    if best.misfit > UNEXPLAINED:
         warnings.append(
             f"the path leaves {best.misfit:.1f} times the noise unexplained: was the motion the same in each photo, "
             "and are the codes given in the order of the photos?"

@@ -23,10 +23,11 @@ from motdiff.estimators.coded.misfit import (
 from motdiff.estimators.coded.otfs import CodedOtfs
 from motdiff.estimators.coded.starts import crossed, decoded_paths, loop_reversals, orders
 from motdiff.motions import boracchi_foi
+from motdiff.progress import Progress
 from motdiff.psf_frame import centroid_px
 from motdiff.trajectory import Trajectory
 
-__all__ = ["Exposures", "FoundPath", "find_paths"]
+__all__ = ["UNEXPLAINED", "Exposures", "FoundPath", "find_paths"]
 
 FloatArray = NDArray[np.float64]
 
@@ -42,6 +43,10 @@ _DECODED, _ORDERS, _WALKS = 64, 48, 48
 _POPULATION, _KEPT, _PARENTS = 8, 10, 4
 _ROUNDS, _FINE_ROUNDS, _STILL = 6, 3, 2
 _IMPROVED = 0.98
+_LONE_WALKS, _USUAL_PX = 96, 50.0
+_LITTLE_BELIEF = 0.05
+UNEXPLAINED = 1.25
+"""Misfit above which a path does not explain the photos."""
 
 
 @dataclass(frozen=True)
@@ -91,47 +96,67 @@ class FoundPath:
 
 
 def find_paths(
-    exposures: Exposures, *, rng: np.random.Generator, spend: Callable[[float], None], begin: Trajectory | None = None
+    exposures: Exposures,
+    *,
+    rng: np.random.Generator,
+    begin: Trajectory | None = None,
+    progress: Progress | None = None,
+    cost: float = 1.0,
 ) -> list[FoundPath]:
     """Find the paths that explain the photos best.
+
+    Where none does, some kernel was wrong: the search is repeated from random walks with little belief in the kernels.
 
     Parameters
     ----------
     exposures : Exposures
     rng : numpy Generator
-    spend : callable
-        Told of each finished share of the work; they sum to 1.
     begin : Trajectory, optional
         A path that is known to be near: its orders are tried first.
+    progress : Progress, optional
+        Told of the work done, which it was told to expect.
+    cost : float
+        Of a search, in the unit of ``progress``.
 
     Returns
     -------
     list of FoundPath, best first: at least one
     """
-    return _Search(exposures, rng, spend).run(begin)
+    told = progress or Progress()
+    search = _Search(exposures, rng, spend=lambda share: told.spend(share * cost), belief=1.0)
+    found = search.run(search.from_kernels(begin))
+    if found[0].misfit > UNEXPLAINED:
+        told.expect_more(2 * cost)
+        search = _Search(exposures, rng, spend=lambda share: told.spend(2 * share * cost), belief=_LITTLE_BELIEF)
+        again = search.run(search.from_walks([path.path for path in found]))
+        found = min(found, again, key=lambda paths: paths[0].misfit)
+    return found
 
 
 class _Search:
     """State of a search: its terms, and the generator of random numbers."""
 
-    def __init__(self, exposures: Exposures, rng: np.random.Generator, spend: Callable[[float], None]) -> None:
-        self.exposures, self.rng, self.spend = exposures, rng, spend
+    def __init__(
+        self, exposures: Exposures, rng: np.random.Generator, *, spend: Callable[[float], None], belief: float
+    ) -> None:
+        self.exposures, self.rng, self.spend, self.belief = exposures, rng, spend, belief
         self.unknowns = Unknowns(_KNOTS, len(exposures.codes))
         self.otfs = CodedOtfs(exposures.codes, _KNOTS)
         self.loose, self.stiff = Roughness(self.unknowns, _LOOSE), Roughness(self.unknowns, _STIFF)
 
         self.kernels = {sigma: self._kernels_at(sigma) for sigma in (4.0, 2.5, 1.5)}
         self.measured = float(exposures.weights.min()) > _MEASURED
-        self.sharpest = self._kernels_at(1.0, None if self.measured else _SATURATION)
+        self.sharpest = self._kernels_at(1.0, None if self.measured else belief * _SATURATION)
         self.centroids = torch.tensor(np.array([centroid_px(kernel)[::-1] for kernel in exposures.kernels]))
         self.scenes = [
             SceneTerm(self.unknowns, self.otfs, spectra, path_error_px=error_px)
             for spectra, error_px in zip(self._spectra(), (1.0, 0.3, 0.0), strict=False)
         ]
 
-    def run(self, begin: Trajectory | None) -> list[FoundPath]:
+    def run(self, x: Tensor) -> list[FoundPath]:
+        """Paths that candidates lead to, best first."""
         coarse: list[Term] = [*self.scenes[:1], self.sharpest, self.loose]
-        x, costs = self._best(coarse, self._first(begin), steps=6, keep=_POPULATION)
+        x, costs = self._best(coarse, x, steps=6, keep=_POPULATION)
         self.spend(0.25)
         x, costs = self._evolved(coarse, x, costs, rounds=_ROUNDS, steps=5, keep=_KEPT, share=0.4)
         if not self.scenes:
@@ -150,8 +175,9 @@ class _Search:
     def _kernels_at(self, sigma_px: float, saturation: float | None = None) -> KernelTerm:
         known = self.exposures
         return KernelTerm(
-            self.unknowns, self.otfs, known.kernels, sigma_px=sigma_px, weights=known.weights, saturation=saturation
-        )
+            self.unknowns, self.otfs, known.kernels,
+            sigma_px=sigma_px, weights=self.belief * known.weights, saturation=saturation,
+        )  # fmt: skip
 
     def _spectra(self) -> list[SceneSpectra]:
         """Spectra of the photos on three grids, coarse to fine; none where the scene is not shared or too small."""
@@ -174,18 +200,24 @@ class _Search:
         gains = torch.tensor(np.tile(self.exposures.gains, (len(paths), 1)), dtype=torch.float32)
         return self.unknowns.pack(centred, gains, shifts)
 
-    def _first(self, begin: Trajectory | None) -> Tensor:
+    def from_walks(self, known: Sequence[FloatArray]) -> Tensor:
+        """Candidates from random walks, and from paths (K, 2) that were found before."""
+        self.length_px = _USUAL_PX
+        lengths = _USUAL_PX * self.rng.uniform(0.5, 1.5, _LONE_WALKS)
+        x = self._pack(np.stack([*known, *(self._walk(length) for length in lengths)]))
+        return self.scenes[0].registered(x)
+
+    def from_kernels(self, begin: Trajectory | None) -> Tensor:
         """Candidates from all kinds of starts, fitted to the kernels."""
         from motdiff.estimators.multiscale import without_faint_parts
         from motdiff.tracing import simplest_trajectory
 
         traced = begin or simplest_trajectory(without_faint_parts(self.exposures.kernels[0]))
         self.length_px = float(np.clip(traced.length_px, 8, 90))
-        walks = [boracchi_foi(self.rng, max_length_px=self.length_px) for _ in range(_WALKS)]
         starts = [
             self._decoded(_DECODED),
             orders(traced, knots=_KNOTS, most=_ORDERS),
-            np.stack([walk.at(np.linspace(0, 1, _KNOTS)) for walk in walks]),
+            np.stack([self._walk(self.length_px) for _ in range(_WALKS)]),
         ]
         x = self._pack(np.concatenate(starts))
         for (_sigma, term), keep in zip(self.kernels.items(), (48, 24, 10), strict=True):
@@ -193,6 +225,9 @@ class _Search:
         if begin is not None:
             x = torch.cat([self._pack(begin.at(np.linspace(0, 1, _KNOTS))[None]), x])
         return self.scenes[0].registered(x) if self.scenes else x
+
+    def _walk(self, length_px: float) -> FloatArray:
+        return boracchi_foi(self.rng, max_length_px=length_px).at(np.linspace(0, 1, _KNOTS))
 
     def _decoded(self, count: int, shifts: FloatArray | None = None) -> FloatArray:
         return decoded_paths(
@@ -208,12 +243,16 @@ class _Search:
         still = 0
         for done in range(rounds):
             new = self._pack(np.stack(self._children(x)))
-            new, _ = descend([self.kernels[2.5], self.loose], new, steps=3)
-            new, _ = self._best([self.kernels[1.5], self.loose], new, steps=4, keep=keep)
+            if self.belief == 1:
+                new, _ = descend([self.kernels[2.5], self.loose], new, steps=3)
+                new, _ = self._best([self.kernels[1.5], self.loose], new, steps=4, keep=keep)
             if self.scenes:
+                coarse: list[Term] = [self.scenes[0], self.sharpest, self.loose]
                 new = self.scenes[0].registered(new)
+                if self.belief < 1:
+                    new, _ = self._best(coarse, new, steps=1, keep=keep)
                 if self.scenes[0] not in terms:
-                    new, _ = descend([self.scenes[0], self.sharpest, self.loose], new, steps=3)
+                    new, _ = descend(coarse, new, steps=3)
             new, reached = descend(terms, new, steps=steps)
             before = float(costs.min())
             x, costs = self._distinct(torch.cat([x, new]), torch.cat([costs, reached]), keep=_POPULATION)
