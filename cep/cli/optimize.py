@@ -38,6 +38,7 @@ from cep.cli.commands import in_options
 from cep.cli.console import finish, progress, table
 from cep.cli.frames import optimize_frames
 from cep.cli.jobs import Cache, Dask, Workers, finish_folder, only_of_folders
+from cep.cli.optimize_class import All, ClassName, ClassSize, PathLength, optimize_class, refuse_with_class
 from cep.cli.options import (
     CameraFile,
     Figures,
@@ -85,6 +86,10 @@ def optimize(
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
     each: Each = None,
+    all_motions: All = None,
+    motion_class: ClassName = None,
+    length: PathLength = None,
+    motions: ClassSize = None,
     chips: Annotated[int, chips_option(least=1)] = _STANDARD_CHIPS,
     open_chips: OpenChips = None,
     duty: Duty = None,
@@ -162,6 +167,9 @@ def optimize(
     - noise_gain_db: null above 100 dB, as of codes with a zero.
     - stopped: steps (all moves made), time, proven, complete (no other code keeps the limits), or interrupted (Ctrl-C).
     - within_limits, of each of baselines: whether it keeps the limits; the search could not return the others.
+    - motions, mean_db, other_motions, others_db, with --all and --class: the mean of the objective's decibels over the
+      motions of the search, and over motions drawn anew, null for a folder; behind_db and behind_error_db, of each of
+      baselines: how much worse it is there, and the standard error.
     - proven: no code is better, over the whole unit circle; or, unless one straight motion is all there is, at the
       band's samples.
 
@@ -172,6 +180,10 @@ def optimize(
     Example: cep optimize --linear 52 --open 26 --objective min-mtf:0.15,noise:1
 
     Example: cep optimize --each shots_motion --chips 40 --duty 0.4:0.6 --steps 4000000
+
+    Example: cep optimize --class walks --length 60 --chips 32 --open 16
+
+    Example: cep optimize --all shots_motion --chips 40 --duty 0.4:0.6
     """
     with progress("counting codes" if method == "exact" else "searching") as tick:
         from dataclasses import asdict
@@ -210,7 +222,29 @@ def optimize(
             except ValueError as error:  # of a folder it stands in the table, and never reaches the command's end
                 raise ValueError(in_options(str(error), context)) from None
 
-        if each is not None:
+        if all_motions is None and motion_class is None and (length is not None or motions is not None):
+            raise ValueError(f"{'--motions' if length is None else '--length'}: needs --class")
+        if all_motions is not None or motion_class is not None:
+            one_for_all = "--class" if all_motions is None else "--all"
+            both = all_motions is not None and motion_class is not None
+            refuse_with_class(
+                one_for_all,
+                {
+                    "--class": both, "--trajectory": trajectory is not None,
+                    "--linear": linear is not None, "--each": each is not None, "--frames": frames > 1,
+                    "--alternatives": alternatives, "--speed": speed is not None, "--drift": drift is not None,
+                    "--jitter": jitter is not None, "--figure": bool(own), "--bound": effort != "quick",
+                    "--rule": rule not in ("worst", "mean"),
+                    "--direction": all_motions is None and direction != "auto",
+                },
+            )  # fmt: skip
+            only_of_folders("--each", workers, dask, cache)
+            show = optimize_class(
+                wish, how, tick, folder=all_motions, motion_class=motion_class, length_px=length, count=motions,
+                camera=light, profile=profile, device=device, output=output or Path("code.json"), force=force,
+                as_json=as_json,
+            )  # fmt: skip
+        elif each is not None:
             if trajectory is not None or linear is not None or frames > 1:
                 raise ValueError(
                     "--each: takes the place of --trajectory and --linear, and searches one frame for each"

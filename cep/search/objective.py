@@ -127,18 +127,14 @@ class Objective:
 
     def cost(self, otf: RealArray, duty: NDArray[np.float64]) -> NDArray[np.float64]:
         """Cost (R,) in dB, lower is better, of (R, 2, F) OTFs whose codes are open for (R,) of the time."""
-        squared = otf * otf
-        power = np.maximum(squared[:, 0] + squared[:, 1], 1e-30)
-        worst = np.full((self.scenario_shares.size, len(power)), -np.inf)
-        for index, part in enumerate(self.parts):
-            total = sum(
-                weight * self._decibels(name, power[:, part.columns], index, duty)
-                for name, weight in self.problem.objective_mix
-            )
-            worst[part.scenario] = np.maximum(worst[part.scenario], total)
+        each = self._each(otf, duty)
         if self.problem.rule == "mean":
-            return np.asarray(self.scenario_shares @ worst, dtype=np.float64)
-        return np.asarray(worst.max(axis=0), dtype=np.float64)
+            return np.asarray(self.scenario_shares @ each, dtype=np.float64)
+        return np.asarray(each.max(axis=0), dtype=np.float64)
+
+    def each_cost_of(self, codes: RealArray) -> NDArray[np.float64]:
+        """Cost (scenarios, R), dB, of (R, n) codes on every scenario, in its worse direction."""
+        return self._each(self.otf(codes), self.duty(codes))
 
     def cost_of(self, codes: RealArray) -> NDArray[np.float64]:
         """Cost (R,) of (R, n) codes."""
@@ -161,6 +157,18 @@ class Objective:
                 # the deepest sample stands for the continuum between it and its neighbours
                 otf[0, :, part.columns.start + deepest] *= min(found / max(modulus[deepest], 1e-300), 1.0)
         return float(self.cost(otf, self.duty(chips))[0])
+
+    def _each(self, otf: RealArray, duty: NDArray[np.float64]) -> NDArray[np.float64]:
+        squared = otf * otf
+        power = np.maximum(squared[:, 0] + squared[:, 1], 1e-30)
+        worst = np.full((self.scenario_shares.size, len(power)), -np.inf)
+        for index, part in enumerate(self.parts):
+            total = sum(
+                weight * self._decibels(name, power[:, part.columns], index, duty)
+                for name, weight in self.problem.objective_mix
+            )
+            worst[part.scenario] = np.maximum(worst[part.scenario], total)
+        return worst
 
     def _decibels(self, name: str, power: RealArray, part: int, duty: NDArray[np.float64]) -> NDArray[np.float64]:
         columns = self.parts[part].columns

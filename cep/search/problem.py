@@ -47,7 +47,8 @@ class SearchProblem:
     direction : {"auto", "unknown", "forward"}
         Unknown: the worse of both directions counts. Forward: only the one given. Auto: as of each trajectory.
     rule : {"worst", "mean"}
-        How scenarios combine; the mean is weighted.
+        How scenarios combine: the worst of their decibels, or the weighted mean of their decibels, which one bad
+        motion does not rule as it would the decibels of a mean.
     runs : RunLimits
         Limits on runs and pulses, and forced chips.
     camera : Camera

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cep.optics.band import uniform_length_px
 from cep.optics.exposure import chip_rows
 from cep.optics.response import ShutterResponse
 from cep.optics.timeline import checked_edges
@@ -24,6 +25,7 @@ __all__ = [
     "Base",
     "Scenario",
     "alternatives",
+    "class_scenarios",
     "drifted",
     "jittered",
     "scenario_rows",
@@ -83,6 +85,34 @@ def alternatives(motion: StoredMotion) -> tuple[Scenario, ...]:
     everything = [(motion.weight, motion.trajectory), *motion.alternatives]
     kept = tuple(Scenario(trajectory, weight) for weight, trajectory in everything if weight > 0)
     return _counted(kept or (Scenario(motion.trajectory),))
+
+
+def class_scenarios(motions: Iterable[Trajectory]) -> tuple[Scenario, ...]:
+    """Make a class of motions of equal weight; one of unknown direction is in it both ways, with half of it each.
+
+    For a problem of the rule "mean" and the direction "forward": over a class the ways of a motion are averaged as its
+    motions are, while the other problems count the worse one.
+
+    Raises
+    ------
+    ValueError
+        If there are no motions, or the scenarios are too many.
+
+    Examples
+    --------
+    >>> bent, straight = Trajectory.from_samples([[0, 0], [9, 3], [14, 12]]), Trajectory.straight(20.0)
+    >>> [one.weight for one in class_scenarios([bent, straight])]
+    [0.5, 0.5, 1.0]
+    """
+    made: list[Scenario] = []
+    for path in motions:
+        if path.direction == "unknown" and uniform_length_px(path) is None:
+            made += [Scenario(path, 0.5), Scenario(path.reversed(), 0.5)]
+        else:
+            made.append(Scenario(path))
+    if not made:
+        raise ValueError("motions: a class needs at least one")
+    return _counted(tuple(made))
 
 
 def speed_range(base: Base, low: float, high: float, count: int) -> tuple[Scenario, ...]:

@@ -47,6 +47,7 @@ REHEATED = 0.6
 _ELITES = 32
 _POOL = 8  # of the best, from which walks start
 _STANDARD_WORK = 2**33  # moves times frequencies after which more rarely find a better code
+_LEAST_OF_MEAN = 2**16
 MOVES_SHARE = 0.9  # of the fraction done that is told: the rest is the polish
 
 
@@ -184,6 +185,8 @@ def anneal(
 def standard_moves(problem: SearchProblem) -> int:
     """Return the number of moves after which further ones rarely find a better code."""
     columns = sample_count(problem, oversampling=_SEARCH_OVERSAMPLING)
+    if problem.rule == "mean":  # every move is judged on every motion, and a class of them leaves few valleys
+        return int(np.clip(_STANDARD_WORK // columns, _LEAST_OF_MEAN, 2**25))
     return int(np.clip(_STANDARD_WORK // columns, 2**20, 2**25))
 
 

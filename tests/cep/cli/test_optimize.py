@@ -310,3 +310,66 @@ def test_the_fronts_time_rules_unless_moves_are_given(cep, workplace, monkeypatc
     for given in ((), ("--time", "7"), ("--steps", "90"), ("--steps", "90", "--time", "7")):
         cep.succeeds("pareto", "--chips", "12", "--open", "6", "--force", *given)
     assert seen == [(None, 60.0), (None, 7.0), (90, math.inf), (90, 7.0)]
+
+
+# -- one code for a class of motions ----------------------------------------------------------------------------------
+
+SMALL = ("--chips", "8", "--open", "4", "--steps", "300")
+
+
+def test_one_code_for_all_motions_of_a_folder(cep, workplace):
+    for name, direction in (("first", "known"), ("second", "unknown")):
+        Path("shots", name).mkdir(parents=True)
+        bent = Trajectory.from_samples([[0, 0], [9, 3], [14, 12]], direction=direction)
+        write_motion(Path("shots", name, "trajectory.json"), StoredMotion(bent))
+    found = cep.succeeds("optimize", "--all", "shots", *SMALL, "-o", "all.json")
+    assert (found["motions"], found["other_motions"], found["others_db"]) == (2, 0, None)
+    assert read_code("all.json").code.bits == found["bits"]
+    assert all(row["behind_db"] >= -1e-6 for row in found["baselines"].values() if row["within_limits"])
+    assert any("2 motions are few" in line for line in found["warnings"])
+    told = cep("optimize", "--all", "shots", *SMALL, "-o", "told.json").out
+    assert told.startswith(f"told.json: {found['bits']}\n")
+
+
+def test_one_code_for_walks_and_for_shakes_of_a_recording(cep, workplace):
+    options = ("--motions", "3", "--length", "20", *SMALL, "--objective", "noise")
+    found = cep.succeeds("optimize", "--class", "walks", *options, "-o", "walks.json")
+    assert (found["motions"], found["other_motions"], found["open"]) == (3, 300, 4)
+    again = cep.succeeds("optimize", "--class", "walks", *options, "-o", "again.json")
+    assert (again["bits"], again["others_db"]) == (found["bits"], found["others_db"])
+    t = np.linspace(0, 2, 400)
+    rows = np.column_stack([t, np.sin(9 * t), np.cos(7 * t), 0 * t])
+    np.savetxt("gyro.csv", rows, delimiter=",", header="t [s],x [rad/s],y [rad/s],z [rad/s]")
+    shaken = cep.succeeds("optimize", "--class", "gyro.csv", "--chip-ns", "10000000", *options, "-o", "gyro.json")
+    assert read_code("gyro.json").problem["class"]["kind"] == "gyro.csv"
+    assert shaken["chip_ns"] == 10_000_000
+    line = cep.refuses("optimize", "--class", "gyro.csv", "--chip-ns", "1000000000", *options, "-o", "long.json")
+    assert "gyro.csv: 8.0 s does not fit the trace of 2 s; the exposure is --chips times --chip-ns" in line
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--all", "nowhere"), "nowhere: no such folder"),
+        (("--all", "empty"), "empty: holds no */trajectory.json"),
+        (
+            ("--all", "empty", "--class", "walks"),
+            "--class: not valid with --all, which searches one code for many motions",
+        ),
+        (("--all", "empty", "--motions", "5"), "--motions: needs --class"),
+        (("--class", "walks", "--trajectory", "trajectory.json"), "--trajectory: not valid with --class"),
+        (("--class", "walks", "--linear", "30"), "--linear: not valid with --class"),
+        (("--class", "walks", "--direction", "forward"), "--direction: not valid with --class"),
+        (("--class", "walks", "--speed", "0.9:1.1"), "--speed: not valid with --class"),
+        (("--class", "walks", "--method", "exact"), "--method: a code for a class of motions needs anneal"),
+        (("--class", "walks", "--length", "0"), "--length: must lie within 1..1000 px, got 0"),
+        (("--class", "walks", "--objective", "min-mtf"), "--objective: a class is searched by noise or mse alone"),
+        (("--class", "wals"), "--class: must be walks or a gyro recording, and there is no file wals"),
+        (("--class", "trajectory.json"), "trajectory.json: "),
+        (("--linear", "30", "--length", "20"), "--length: needs --class"),
+    ],
+)
+def test_a_class_and_what_does_not_go_with_it(cep, workplace, options, message):
+    Path("empty").mkdir()
+    assert message in cep.refuses("optimize", *options, "-o", "refused.json")
+    assert not Path("refused.json").exists()
