@@ -15,7 +15,7 @@ from cep.search.light import best_snapshot, best_strobe, random_codes
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.recipe import search_code
-from cep.search.scenarios import Scenario
+from cep.search.scenarios import Scenario, class_scenarios
 from motdiff.trajectory import Trajectory
 
 __all__ = ["DESIGNS", "Design", "MotionPrior", "design_code", "design_of"]
@@ -29,8 +29,9 @@ class Design:
     ----------
     label : str
         For people.
-    path : {"none", "length", "ours", "parametric", "parametric oracle", "true"}
-        Motion prior: none, the true length, an estimate, the best quadratic path for the truth, or the truth.
+    path : {"none", "class", "length", "ours", "parametric", "parametric oracle", "true"}
+        Motion prior: none, other motions of the protocol's kind, the true length, an estimate, the best quadratic path
+        for the truth, or the truth.
     """
 
     label: str
@@ -50,6 +51,7 @@ DESIGNS: dict[str, Design] = {
     "raskar-52": Design("Raskar-52, published", "none"),
     "dnf": Design("DNF (length known, direction ignored)", "length"),
     "dce": Design("DCE (one learned code)", "none"),
+    "class": Design("class code (mean over such motions, no calibration)", "class"),
     "parametric": Design("parametric (estimated quadratic path)", "parametric"),
     "parametric-oracle": Design("parametric oracle (best quadratic path)", "parametric oracle"),
     "one-way": Design("ours, one way (as the paper)", "ours"),
@@ -136,17 +138,21 @@ def _problem(
     design: str, prior: MotionPrior, *, chips: int, open_range: tuple[int, int], objective: str, camera: Camera
 ) -> SearchProblem:
     kept = len(prior.paths) if design == "posterior" else 1
-    scenarios = tuple(
-        Scenario(path, weight=weight)
-        for path, weight in zip(prior.paths[:kept], prior.weights[:kept], strict=True)
-        if weight > 0  # an estimate may have a known direction
+    scenarios = (
+        class_scenarios(prior.paths)
+        if design == "class"
+        else tuple(
+            Scenario(path, weight=weight)
+            for path, weight in zip(prior.paths[:kept], prior.weights[:kept], strict=True)
+            if weight > 0  # an estimate may have a known direction
+        )
     )
     return SearchProblem(
         chips=chips,
         scenarios=scenarios,
         open_range=open_range,
         objective=objective,
-        direction="forward" if design == "one-way" or DESIGNS[design].uses_truth else "unknown",
-        rule="mean" if design == "posterior" else "worst",
+        direction="forward" if design in ("class", "one-way") or DESIGNS[design].uses_truth else "unknown",
+        rule="mean" if design in ("class", "posterior") else "worst",
         camera=camera,
     )

@@ -18,7 +18,7 @@ from motdiff.motions import boracchi_foi, quadratic, random_straight
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
-__all__ = ["PROTOCOLS", "CodedProtocol", "coded_protocol", "drawn_motions", "paths_from", "paths_to"]
+__all__ = ["PROTOCOLS", "CodedProtocol", "class_motions", "coded_protocol", "drawn_motions", "paths_from", "paths_to"]
 
 
 PROTOCOLS = ("paper", "ours")
@@ -219,9 +219,9 @@ def paths_from(text: str) -> tuple[tuple[Trajectory, ...], tuple[float, ...]]:
 _MIXED_LENGTHS_PX = (20.0, 60.0)
 
 
-def drawn_motions(protocol: CodedProtocol) -> tuple[Trajectory, ...]:
-    """Draw the protocol's motions; only the oracle uses their direction."""
-    rng = np.random.default_rng([protocol.seed, 0])
+def drawn_motions(protocol: CodedProtocol, *, stream: int = 0) -> tuple[Trajectory, ...]:
+    """Draw the protocol's motions; only the oracle uses their direction. Each stream of random numbers has others."""
+    rng = np.random.default_rng([protocol.seed, stream])
     if protocol.shakes == "boracchi-foi":
         return tuple(boracchi_foi(rng) for _ in range(protocol.motions))
     low, high = _MIXED_LENGTHS_PX
@@ -231,6 +231,16 @@ def drawn_motions(protocol: CodedProtocol) -> tuple[Trajectory, ...]:
         lambda: random_straight(rng, min_length_px=low, max_length_px=high),
     )
     return tuple(_fitting(draw[index % len(draw)]) for index in range(protocol.motions))
+
+
+_CLASS = 60  # motions of a class: docs/decisions/search.md
+_TOLERANCE_PX = 0.01
+
+
+def class_motions(protocol: CodedProtocol) -> tuple[Trajectory, ...]:
+    """Draw other motions of the protocol's kind, from a seed of their own, for codes that know nothing but the kind."""
+    others = drawn_motions(replace(protocol, motions=_CLASS), stream=6)
+    return tuple(path.thinned(_TOLERANCE_PX) for path in others)
 
 
 def _fitting(draw: Callable[[], Trajectory]) -> Trajectory:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cep.bench.coded.designs import DESIGNS, MotionPrior, design_of
-from cep.bench.coded.protocol import CodedProtocol, drawn_motions, paths_from, paths_to
+from cep.bench.coded.protocol import CodedProtocol, class_motions, drawn_motions, paths_from, paths_to
 from cep.bench.coded.stages import choose_code, motion_of, photo_of
 from cep.bench.datasets import Cut
 from cep.jobs.cells import Cell, Figure
@@ -171,8 +171,11 @@ def measure_coded(
     }
 
     versions = {design: code_version(design) for design in designs}
+    known = MotionPrior(kind := class_motions(protocol), (1 / len(kind),) * len(kind)) if "class" in designs else None
     priors = {
-        (design, photo, index): motion_prior(design, truths[index], estimates, photo, index)
+        (design, photo, index): known
+        if DESIGNS[design].path == "class"
+        else motion_prior(design, truths[index], estimates, photo, index)
         for design in designs
         for photo, index in keys
     }
@@ -184,7 +187,7 @@ def measure_coded(
                 "prior": prior, "design": design, "chips": protocol.chips, "open_range": protocol.open_range,
                 "objective": protocol.objective,
                 "camera": protocol.camera(_designed_for(design, protocol.objective, level)).to_dict(),
-                "steps": protocol.steps, "seed": protocol.seed + index,
+                "steps": protocol.steps, "seed": protocol.seed + (index if prior is not known else 0),
             },
             version=versions[design],
         )
@@ -347,7 +350,7 @@ def assumed_path(
 def _restored_by(design: str) -> str:
     # designs without a path need an estimate for the restoration: the best one
     path = design_of(design).path
-    return "ours" if path in ("none", "length") else path
+    return "ours" if path in ("none", "class", "length") else path
 
 
 _DENOISER = Path(__file__).parents[2] / "restoration" / "denoiser" / "denoiser.safetensors"

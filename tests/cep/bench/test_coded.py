@@ -16,7 +16,7 @@ from skimage import data
 
 from cep.bench.coded import protocol
 from cep.bench.coded.designs import DESIGNS, MotionPrior, design_code
-from cep.bench.coded.protocol import CodedProtocol, coded_protocol, drawn_motions, paths_from, paths_to
+from cep.bench.coded.protocol import CodedProtocol, class_motions, coded_protocol, drawn_motions, paths_from, paths_to
 from cep.bench.coded.report import OUTPUTS, write_coded_report
 from cep.bench.coded.run import ESTIMATORS, CodedTable, Shot, code_version, measure_coded, motion_version, photo_version
 from cep.bench.coded.stages import estimate_motion, photographed, pictures_of, take_photo
@@ -357,6 +357,7 @@ def test_motion_is_estimated_from_the_uncoded_photo(guesses):
 
 TOLD = {
     "none": MotionPrior(),
+    "class": MotionPrior((BENT, GUESS), (0.5, 0.5)),
     "length": MotionPrior(length_px=20.0),
     "ours": MotionPrior((BENT, GUESS), (0.75, 0.25)),
     "parametric": MotionPrior((PARAMETRIC,), (1.0,)),
@@ -791,3 +792,31 @@ def test_the_picture_needs_no_level_that_was_not_reached(tmp_path, photos):
     files = write_coded_report(tmp_path / "out", coded_tables(reached), reached, command="again", warnings=[])
     assert set(files) == set(OUTPUTS)
     assert "in neither direction" not in files["cep.md"].read_text()
+
+
+# -- one code for a class ---------------------------------------------------------------------------------------------
+
+
+def test_the_class_is_of_the_protocols_kind_and_none_of_its_motions():
+    walks = replace(TINY, shakes="boracchi-foi")
+    shown, others = drawn_motions(walks), class_motions(walks)
+    assert len(others) == 60
+    assert all(path.length_px == pytest.approx(60, abs=1) for path in others)  # thinned
+    assert not any(np.allclose(path.xy[-1], one.xy[-1]) for path in others for one in shown)
+
+
+def test_all_photos_have_the_same_class_code():
+    """Brute force over all codes of four chips out of eight, by the mean of the decibels."""
+    codes = [ShutterCode("".join("01"[k in on] for k in range(8))) for on in combinations(range(8), 4)]
+    paths = class_motions(TINY)[:2]
+    gains = {code.bits: np.mean([measure(path, code, budget=0).noise_gain_db for path in paths]) for code in codes}
+    found = chosen("class", MotionPrior(paths, (0.5, 0.5)), chips=8, open_range=(4, 4), steps=2000)
+    assert gains[found.bits] == pytest.approx(min(gains.values()), abs=0.05)
+
+
+def test_a_class_code_is_searched_once(tmp_path, photos, monkeypatch):
+    kept = class_motions(TINY)[:2]
+    monkeypatch.setattr("cep.bench.coded.run.class_motions", lambda _protocol: kept)
+    measured = measure_coded(TINY, photos, cache=tmp_path / "cells", designs=["class"])
+    assert not measured.failures
+    assert len({shot.bits for shot in measured.shots}) == 1
