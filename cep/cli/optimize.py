@@ -239,7 +239,7 @@ def optimize(
                 },
             )  # fmt: skip
             only_of_folders("--each", workers, dask, cache)
-            show = optimize_class(
+            show: Callable[[], None] = optimize_class(
                 wish, how, tick, folder=all_motions, motion_class=motion_class, length_px=length, count=motions,
                 camera=light, profile=profile, device=device, output=output or Path("code.json"), force=force,
                 as_json=as_json,
@@ -255,7 +255,7 @@ def optimize(
                 each, task, how, output, figures=list(own), profile=profile, cache=cache, workers=workers, dask=dask,
                 force=force, progress=tick,
             )  # fmt: skip
-            show: Callable[[], None] = partial(
+            show = partial(
                 finish_folder,
                 {"folder": found.folder, "summary": found.summary, "codes": found.found, "seed": seed},
                 {**_COLUMNS, **{name: name for name in own}},

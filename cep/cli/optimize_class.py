@@ -170,8 +170,8 @@ def optimize_class(
 
 
 def _motions_of(folder: Path, direction: str) -> tuple[Trajectory, ...]:
-    from cep.workflows.calibrate_folder import motions_in
     from cep.workflows.compare import as_designed
+    from cep.workflows.optimize_folder import motions_in
     from motdiff.io.trajectories import read_motion
 
     return tuple(as_designed(read_motion(path).trajectory, direction) for path in motions_in(folder).values())
