@@ -27,8 +27,10 @@ _SAME_SCENE = 0.8  # correlation of what two photos show beyond their blur
 _BLUR_PX = 12.0
 _KERNEL_SHARE, _FIT_SHARE = 0.45, 0.55  # of the time
 _BLIND_WEIGHT, _LEAST_TRUST = 300.0, 0.15  # a blind kernel's error: about a tenth of its square
-# log odds of the right order: docs/decisions/motion-estimation.md
-_ODDS_OFFSET, _ODDS_GAP, _ODDS_MISFIT = -1.0, 1.0, 4.0
+# log odds of the right order by number of photos and by how much worse the next other path is, see
+# docs/decisions/motion-estimation.md
+_ODDS, _ODDS_OF_GAP, _ODDS_OF_MISFIT = (-2.0, 0.0, 1.5, 2.5), 2.0, 4.0
+_OTHER_PATH_PX, _LEAST_GAP, _USUAL_GAP, _NO_OTHER_GAP = 1.0, 1e-3, 0.02, 0.3
 _MOST_SNR = 100.0  # pixels are no exact hats
 _MOST_ALTERNATIVES = 3
 
@@ -175,12 +177,12 @@ def _described(
     paths: Sequence[FoundPath], exposures: Exposures, found: Sequence[MotionEstimate], factor: int
 ) -> MotionEstimate:
     best = paths[0]
-    probability = _order_probability(paths)
+    probability = _order_probability(paths, len(found))
     others = paths[1:_MOST_ALTERNATIVES]
-    shares = np.exp(-0.5 * np.array([other.cost - best.cost for other in others]) / _cost_scale(best))
+    shares = np.array([1 / max(other.cost / best.cost - 1, _LEAST_GAP) for other in others])
     weights = (1.0,)
     if others:
-        rest = (1 - probability) * shares / shares.sum() if shares.sum() > 0 else 0 * shares
+        rest = (1 - probability) * shares / shares.sum()
         weights = (1 - float(rest.sum()), *rest.tolist())
     trajectories = tuple(Trajectory.from_samples(factor * path.path, direction="known") for path in (best, *others))
     error_px = factor * float(np.sqrt((best.deviation_px**2).mean()))
@@ -215,13 +217,17 @@ def _described(
     )
 
 
-def _cost_scale(best: FoundPath) -> float:
-    return max(1.0, 0.01 * best.cost)
-
-
-def _order_probability(paths: Sequence[FoundPath]) -> float:
+def _order_probability(paths: Sequence[FoundPath], photos: int) -> float:
+    """Probability that the best path is the true one to within 1 px: how much worse the next other path explains it."""
     best = paths[0]
-    gap = 3.0 if len(paths) < 2 else float(np.log1p((paths[1].cost - best.cost) / _cost_scale(best)))
+    others = [other for other in paths[1:] if _apart_px(best.path, other.path) > _OTHER_PATH_PX]
+    gap = min((other.cost / best.cost - 1 for other in others), default=_NO_OTHER_GAP)
     misfit = best.misfit if np.isfinite(best.misfit) else 1.0
-    odds = _ODDS_OFFSET + _ODDS_GAP * gap - _ODDS_MISFIT * max(0.0, float(np.log(misfit)))
-    return float(1 / (1 + np.exp(-odds)))
+    odds = _ODDS[min(photos, len(_ODDS)) - 1] + _ODDS_OF_GAP * np.log10(max(gap, _LEAST_GAP) / _USUAL_GAP)
+    return float(1 / (1 + np.exp(_ODDS_OF_MISFIT * max(0.0, float(np.log(misfit))) - odds)))
+
+
+def _apart_px(path: FloatArray, other: FloatArray) -> float:
+    """Root mean square distance of two paths (K, 2) at equal times, centred."""
+    apart = path - other
+    return float(np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean()))
