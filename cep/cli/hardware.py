@@ -52,15 +52,12 @@ def export(
     from cep.codes.sources import code_file
     from cep.io.outputs import claim, write_text
     from hw.drivers.report import Trust
-    from hw.export import export_program, find_exporter
+    from hw.export import export_program, file_name, find_exporter
 
-    suffix = find_exporter(file_format).suffix
+    find_exporter(file_format)
     program, profile = load_program(code, chip_ns=chip_ns, device=device)
     file = code_file(code)
-    stem = "code" if file is None else file.stem
-    # a code is JSON too, and a code.py would hide Python's own module from whatever runs beside it
-    more = {".json": ".program", ".py": "_rp2"}.get(suffix, "")
-    target = output or Path(f"{stem}{more}{suffix}")
+    target = output or Path(file_name("code" if file is None else file.stem, file_format))
     claim([target], force=force, inputs=[] if file is None else [file])
     write_text(target, export_program(program, file_format, device=profile))
     result = {

@@ -9,7 +9,19 @@ from typing import Annotated, Any
 
 import typer
 
-from cep.cli import bench, calibrate, code, controller, deblur, demo, hardware, optimize, pareto, simulate
+from cep.cli import (
+    bench,
+    calibrate,
+    calibration_set,
+    code,
+    controller,
+    deblur,
+    demo,
+    hardware,
+    optimize,
+    pareto,
+    simulate,
+)
 from cep.cli.commands import Command, Group
 from cep.cli.console import FAILURE, INTERRUPTED, complain, explain, warn
 
@@ -54,6 +66,7 @@ def _root(
 
 
 app.command("calibrate")(calibrate.calibrate)
+app.command("calibration-set")(calibration_set.calibration_set)
 app.command("optimize")(optimize.optimize)
 app.command("pareto")(pareto.pareto)
 app.command("audit")(code.audit)

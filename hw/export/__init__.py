@@ -22,7 +22,7 @@ from hw.export import (
 from hw.export._text import GENERIC
 from hw.program import Program
 
-__all__ = ["EXPORTERS", "Exporter", "export_program", "find_exporter"]
+__all__ = ["EXPORTERS", "Exporter", "export_program", "file_name", "find_exporter"]
 
 
 class Exporter(Protocol):
@@ -65,6 +65,19 @@ def find_exporter(file_format: str) -> Exporter:
     if file_format not in EXPORTERS:
         raise ValueError(f"file_format: must be one of {', '.join(EXPORTERS)}, got {file_format[:40]!r}")
     return EXPORTERS[file_format]
+
+
+def file_name(stem: str, file_format: str) -> str:
+    """Name the file of a code in a format.
+
+    Examples
+    --------
+    >>> file_name("code", "csv"), file_name("code", "json")
+    ('code.csv', 'code.program.json')
+    """
+    suffix = find_exporter(file_format).suffix
+    # a code is JSON too, and a code.py would hide Python's own module from whatever runs beside it
+    return stem + {".json": ".program", ".py": "_rp2"}.get(suffix, "") + suffix
 
 
 def export_program(program: Program, file_format: str, *, device: DeviceProfile | None = None) -> str:

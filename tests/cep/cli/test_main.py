@@ -28,6 +28,7 @@ from motdiff.trajectory import Trajectory
 
 COMMANDS = (
     "calibrate",
+    "calibration-set",
     "optimize",
     "pareto",
     "audit",
