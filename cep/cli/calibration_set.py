@@ -41,7 +41,8 @@ def calibration_set(
 
     Fields of --json that need a word, all measured on simulated walks other than those of the design:
 
-    - separation.resolved: walks of which every other order changes the photos by more than the error of a blind search.
+    - separation.resolved: walks of which each other order, six at most, changes the photos by more than a blind
+      search errs.
     - separation.median, separation.worst_tenth: energy of the change of the photos' PSFs over that of the open
       shutter's PSF, over all other orders.
 
@@ -64,7 +65,7 @@ def calibration_set(
 
 
 def _show(console: Console, found: CalibrationSet, folder: Path) -> None:
-    console.print(found.promise)
+    console.print(found.summary)
     rows = [
         (f"P{i}", name, code.open_chips, code.pulses, code.bits)
         for i, (name, code) in enumerate(zip(found.sources, found.codes, strict=True), 1)

@@ -40,7 +40,7 @@ class Separation:
     walks : int
     length_px : float, px
     resolved : int
-        Walks of which every other order changes the photos by more than the error of a blind search.
+        Walks of which each other order, six at most, changes the photos by more than a blind search errs.
     median, worst_tenth : float
         Over all other orders: energy of the change of the photos' PSFs over that of the open shutter's PSF.
     conditioning : float
@@ -80,7 +80,7 @@ class CalibrationSet:
         )
 
     @property
-    def promise(self) -> str:
+    def summary(self) -> str:
         """What the set will resolve, one sentence."""
         found, count = self.separation, len(self.codes)
         steps = ", ".join(
@@ -88,9 +88,9 @@ class CalibrationSet:
             for i, name in enumerate(self.sources, 1)
         )
         return (
-            f"Take {count} {'photo' if count == 1 else 'photos'} of the motion, {steps}: of {found.resolved} in "
-            f"{found.walks} simulated walks of {found.length_px:g} px, every other order in time changes the photos by "
-            "more than the error of a blind search."
+            f"Take {count} {'photo' if count == 1 else 'photos'} of the motion, {steps}: in {found.resolved} of "
+            f"{found.walks} simulated walks of {found.length_px:g} px, each other order in time that was tried, six at "
+            "most, changes the photos by more than a blind search errs."
         )
 
     def command(self, folder: Path | str) -> str:
@@ -104,7 +104,7 @@ class CalibrationSet:
     def to_dict(self, folder: Path | str) -> dict[str, Any]:
         """Fields for JSON, as of a set in ``folder``."""
         return {
-            "promise": self.promise,
+            "summary": self.summary,
             "photos": [
                 {"photo": f"P{i}", "code": name, "bits": code.bits, "open": code.open_chips, "pulses": code.pulses}
                 for i, (name, code) in enumerate(zip(self.sources, self.codes, strict=True), 1)
