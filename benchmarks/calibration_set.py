@@ -24,7 +24,7 @@ from motdiff.motions import boracchi_foi
 
 FloatArray = NDArray[np.float64]
 
-CHIPS, DESIGN_WALKS, TEST_WALKS = 52, 32, 200
+CHIPS, DESIGN_WALKS, TEST_WALKS = 52, 64, 100
 SIDE_PX, NOISE = 257, 0.005
 
 
@@ -48,7 +48,7 @@ def separation() -> None:
         "open, Gray 3": [whole, *gray_planes(3, CHIPS)],
         "open, Gray 4": [whole, *gray_planes(4, CHIPS)],
     }
-    for count in (1, 2, 3, 4, 5):
+    for count in (1, 2, 3, 4):
         for most_open in (CHIPS, CHIPS - 1) if count > 1 else (CHIPS,):
             limits = Limits(CHIPS, (1, most_open))
             name = f"designed, {count}" + ("" if most_open == CHIPS else ", none open")

@@ -35,7 +35,7 @@ def search_order_codes(
     rng: np.random.Generator,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Code, ...]:
-    """Search codes whose photos confuse the fewest orders in time: the best of many known codes, then edge by edge.
+    """Search codes whose photos confuse orders of the fewest motions: the best of many codes, then edge by edge.
 
     Two photos or more begin with the open shutter where the limits allow it: it fixes the path, of which only the order
     is left to tell. At no time are all shutters closed for more than an eighth of the exposure, if it can be avoided.
@@ -102,13 +102,14 @@ class _Search:
         return self._separations[key]
 
     def score(self, codes: Sequence[Code]) -> tuple[int, float]:
-        """Score of a set, higher is better: no direction lost, nothing unseen for too long, few orders confused."""
+        """Score of a set, higher is better: no direction lost, nothing unseen for too long, few walks confused."""
         chips = self._limits.chips
         excess = max(0, longest_unseen(np.stack(codes)) - max(1, chips // _UNSEEN_PARTS))
         if all(map(_is_own_mirror, codes)):
             excess += chips
-        # a worst tenth fits the few walks of the design: the mean holds on others
-        confused = np.exp(-sum(self.separation(code) for code in codes) / BLIND_ERROR)
+        # the worst order of each walk, but the mean over walks: a worst tenth fits the few walks of the design
+        least = self._measure.of_each_motion(np.sum([self.separation(code) for code in codes], axis=0))
+        confused = np.exp(-least / BLIND_ERROR)
         return -excess, -float(confused.mean())
 
     def best(self, codes: Sequence[Code], rest: Sequence[Code]) -> Code:

@@ -26,7 +26,7 @@ __all__ = ["SET_FILE", "SET_SCHEMA", "CalibrationSet", "Separation", "calibratio
 SET_FILE, SET_SCHEMA = "set.json", "cep.calibration-set/1"
 
 _LENGTH_PX = 60.0
-_DESIGN_WALKS, _TEST_WALKS = 32, 64
+_DESIGN_WALKS, _TEST_WALKS = 64, 64
 _LEAST_CHIPS, _MOST_CHIPS = 4, 512  # the walks' slices take 0.6 MB a chip
 _MOST_PHOTOS = 8
 

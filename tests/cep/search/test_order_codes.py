@@ -17,10 +17,10 @@ def found_codes(limits, photos, *, walks=6):
 
 
 def confused(measure, codes):
-    return np.exp(-sum(measure.of(code) for code in codes) / BLIND_ERROR).mean()
+    return np.exp(-measure.of_each_motion(sum(measure.of(code) for code in codes)) / BLIND_ERROR).mean()
 
 
-def test_beside_an_open_photo_no_other_code_confuses_fewer_orders():
+def test_beside_an_open_photo_no_other_code_confuses_fewer_walks():
     codes, measure = found_codes(Limits(6, (1, 6)), 2)
     assert codes[0].tolist() == [1] * 6
     every = [bits for bits in product((0, 1), repeat=6) if any(bits) and bits != bits[::-1]]
