@@ -106,7 +106,7 @@ class CodedEstimator:
         with one_thread_a_call():
             progress = Progress(self._tell)
             progress.expect(1.0)
-            greys = [textured_luminance(photo, least_px=LEAST_PX) for photo in photos]
+            greys = [_grey(photo, f"photo {i}" if len(photos) > 1 else "photo") for i, photo in enumerate(photos, 1)]
             for i, grey in enumerate(greys[1:], 2):
                 if grey.shape != greys[0].shape:
                     (h, w), (h0, w0) = grey.shape, greys[0].shape
@@ -151,6 +151,13 @@ class CodedEstimator:
             gains=level / level[0],
             photos=tuple(greys[i] for i in order) if _are_one_scene(greys) else (),
         )
+
+
+def _grey(photo: ArrayLike, name: str) -> FloatArray:
+    try:
+        return textured_luminance(photo, least_px=LEAST_PX)
+    except ValueError as error:
+        raise ValueError(f"{name}: {str(error).removeprefix('photo: ')}") from None
 
 
 def _factor(estimate: MotionEstimate) -> int:
