@@ -52,8 +52,8 @@ def calibrate(
             metavar="NAME",
             show_default="motdiff; coded with --code",
             help="motdiff (blind, diffusion model), pmp (blind, classical), reference (beside a sharp photo), "
-            "point (of a small light, also with --code), gyro (from a recording), coded (with --code), or "
-            "module:name of an estimator of your own.",
+            "point (of a small light), gyro (from a recording), coded (with --code), or module:name of an estimator of "
+            "your own.",
         ),
     ] = None,
     sharp: Annotated[

@@ -54,8 +54,7 @@ _LEAST_CONTRAST = 2 / 255
 _LOADING = {"motdiff": (0.12, 0.28, 0.36), "pmp": (0.12, 0.26, 0.32), "coded": (0.02, 0.05, 0.06)}
 """Of an estimate's share: torch is on its way, is there, and so is the estimator; docs/decisions/code.md."""
 _NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}, "coded": {"codes"}}
-_ALLOWED = {"motdiff": {"samples"}, "gyro": {"rate_unit"}, "point": {"codes"}}
-_TRAIL_GAP_PX = 10  # of a light's trail through a code
+_ALLOWED = {"motdiff": {"samples"}, "gyro": {"rate_unit"}}
 
 
 def check_options(method: str, options: Mapping[str, object]) -> None:
@@ -110,7 +109,7 @@ def make_estimator(
     gyro, focal_px, start_s, exposure_s
         For "gyro": the recording, the focal length in px, and when on the recording's clock the shutter was open.
     codes : sequence of ShutterCode, optional
-        For "coded" and "point": of each photo, in order.
+        For "coded": of each photo, in order.
     progress : callable, optional
         Called with the finished share 0..1 of loading and estimating, and what is being done, by methods that take
         long.
@@ -148,13 +147,11 @@ def make_estimator(
         from motdiff.estimators.gyro import GyroEstimator
 
         return GyroEstimator(gyro, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s)
-    if method == "point" and codes is None:
+    if method == "point":
         from motdiff.estimators.point import PointEstimator
 
         return PointEstimator()
-    torch_begun, torch_there, loaded = _LOADING[
-        "motdiff" if method == "motdiff" else "pmp" if codes is None else "coded"
-    ]
+    torch_begun, torch_there, loaded = _LOADING[method]
 
     def tell(share: float) -> None:
         progress((1 - share) * loaded + share, "searching the motion")
@@ -163,12 +160,10 @@ def make_estimator(
     import_module("torch")  # half of what there is to load
     progress(torch_there, "loading the network" if method == "motdiff" else "loading the search")
     made: Estimator
-    if codes is not None:
+    if method == "coded" and codes is not None:
         from motdiff.estimators.coded.estimator import CodedEstimator
-        from motdiff.estimators.point import PointEstimator
 
-        lights = PointEstimator(gap_px=_TRAIL_GAP_PX) if method == "point" else None
-        made = CodedEstimator([code.bits for code in codes], kernels=lights, seed=seed, progress=tell)
+        made = CodedEstimator([code.bits for code in codes], seed=seed, progress=tell)
     elif method == "pmp":
         from motdiff.estimators.pmp import PmpEstimator
 
@@ -235,7 +230,7 @@ def estimate_motion(
         As of :func:`make_estimator`.
     codes : sequence of ShutterCode, optional
         The code of each photo, all open for an open shutter: the order in time of the motion is found as well. The
-        method is then "coded" or, of small lights, "point".
+        method is then "coded".
 
     Raises
     ------

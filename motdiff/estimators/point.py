@@ -19,6 +19,7 @@ __all__ = ["PointEstimator"]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+_GAP_PX = 2  # breaks in a streak up to twice this are bridged: noise where the light ran fast
 _KEPT_SIGMA = 3.0
 _FOUND_SIGMA = 5.0
 _LOST_TO_CLIPPING = 0.02
@@ -56,20 +57,15 @@ class PointEstimator:
         Least MNC with the best streak for another one to count.
     most : int
         Lights averaged at most.
-    gap_px : int, px
-        Breaks in a streak up to twice this are bridged: noise where the light ran fast, or a code's closed chips.
     """
 
     size: int = PSF_PX
     agreement: float = 0.9
     most: int = 8
-    gap_px: int = 2
 
     def __post_init__(self) -> None:
         if self.size < 3:
             raise ValueError(f"size: must be at least 3 px, got {self.size}")
-        if self.gap_px < 1:
-            raise ValueError(f"gap_px: must be at least 1, got {self.gap_px}")
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Estimate the motion from ``photo``, (H, W) or (H, W, C) float, linear light 0..1.
@@ -80,7 +76,7 @@ class PointEstimator:
             If the photo shows no streak that fits the frame.
         """
         light = crops.luminance(photo)
-        streaks, too_long, cut_off = _streaks(light, crops.clipped_mask(photo), self.size, self.gap_px)
+        streaks, too_long, cut_off = _streaks(light, crops.clipped_mask(photo), self.size)
         if not streaks:
             why = f"; {too_long} longer than the {self.size} px frame" if too_long else ""
             why += f"; {cut_off} cut off by the photo's border" if cut_off else ""
@@ -124,7 +120,7 @@ def _snr(streak: _Streak) -> float:
     return float(np.linalg.norm(streak.psf) * streak.flux / (max(streak.noise, 1e-6) * np.sqrt(support)))
 
 
-def _streaks(light: FloatArray, clipped: BoolArray, size: int, gap_px: int) -> tuple[list[_Streak], int, int]:
+def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_Streak], int, int]:
     """Streaks found, and how many were too long for the frame or cut off by the border."""
     background = _background(light, size)
     above = light - background
@@ -133,8 +129,7 @@ def _streaks(light: FloatArray, clipped: BoolArray, size: int, gap_px: int) -> t
     # a small mean finds the faint, fast parts of a streak
     smooth = ndimage.uniform_filter(above, 3)
     bright = smooth > _KEPT_SIGMA * noise / 3 + 1e-4
-    inner = slice(gap_px, -gap_px)
-    joined = ndimage.binary_closing(np.pad(bright, gap_px), iterations=gap_px)[inner, inner]
+    joined = ndimage.binary_closing(np.pad(bright, _GAP_PX), iterations=_GAP_PX)[_GAP_PX:-_GAP_PX, _GAP_PX:-_GAP_PX]
     labels, _ = ndimage.label(joined | bright, structure=np.ones((3, 3)))
     found: list[_Streak] = []
     too_long = cut_off = 0

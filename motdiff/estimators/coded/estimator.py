@@ -27,11 +27,10 @@ _SAME_SCENE = 0.8  # correlation of what two photos show beyond their blur
 _BLUR_PX = 12.0
 _KERNEL_SHARE, _FIT_SHARE = 0.45, 0.55  # of the time
 _BLIND_WEIGHT, _LEAST_TRUST = 300.0, 0.15  # a blind kernel's error: about a tenth of its square
-# log odds of the right order by number of photos and by how much worse the next other path is, see
-# docs/decisions/motion-estimation.md
-_ODDS, _ODDS_OF_GAP, _ODDS_OF_MISFIT = (-2.0, 0.0, 1.5, 2.5), 2.0, 4.0
-_OTHER_PATH_PX, _LEAST_GAP, _USUAL_GAP, _NO_OTHER_GAP = 1.0, 1e-3, 0.02, 0.3
-_MOST_SNR = 100.0  # pixels are no exact hats
+# by number of photos, on simulated walks, and the ratio of true to computed error: docs/decisions/motion-estimation.md
+_SHARE_RIGHT, _ERROR_RATIO = (0.2, 0.65, 0.8, 0.93), 2.0
+_MISFIT_POWER = 4.0
+_ALMOST_EQUAL = 1e-3
 _MOST_ALTERNATIVES = 3
 
 
@@ -42,7 +41,7 @@ class CodedEstimator:
     walks are fitted to the kernels, crossed with each other, and fitted to the photos themselves where these show one
     scene: what one photo shows through the PSF of another must be what the other shows through its own.
 
-    ``confidence`` is the probability that the order is right, fitted on simulated photos. ``details`` hold it as
+    ``confidence`` is the probability that the order is right: the share found so of simulated motions with as many photos. ``details`` hold it as
     ``order_confidence``, the expected error ``path_uncertainty_px`` (rms over time) and ``deviation_px`` at
     evenly spaced times.
 
@@ -51,8 +50,7 @@ class CodedEstimator:
     codes : sequence of str
         Bits of each photo's code, in the order of the photos; "1" throughout for an open shutter.
     kernels : Estimator, optional
-        What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when omitted. Kernels that it
-        gives with an ``snr`` among their details are measured, those of lights, and are believed by that.
+        What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when omitted.
     begin : Trajectory, optional
         A path that is known to be near.
     seed : int
@@ -143,11 +141,12 @@ class CodedEstimator:
     def _exposures(self, greys: Sequence[FloatArray], found: Sequence[MotionEstimate]) -> Exposures:
         light = [code.count("1") for code in self._codes]
         order = sorted(range(len(light)), key=lambda i: -light[i])
+        trust = np.array([found[i].confidence for i in order])
         level = np.array([greys[i].mean() / light[i] for i in order])
         return Exposures(
             codes=tuple(self._codes[i] for i in order),
             kernels=tuple(found[i].psf for i in order),
-            weights=np.array([_weight(found[i]) for i in order]),
+            weights=_BLIND_WEIGHT * np.clip(trust, _LEAST_TRUST, 1) ** 2,
             gains=level / level[0],
             photos=tuple(greys[i] for i in order) if _are_one_scene(greys) else (),
         )
@@ -166,14 +165,6 @@ def _factor(estimate: MotionEstimate) -> int:
     return round(1 / scale) if isinstance(scale, float) and estimate.confidence >= 0.5 else 1
 
 
-def _weight(estimate: MotionEstimate) -> float:
-    """Inverse of the relative squared error expected of a kernel, times the values that it is spread over."""
-    snr = estimate.details.get("snr")
-    if isinstance(snr, float):
-        return max(_BLIND_WEIGHT, min(snr, _MOST_SNR) ** 2 * float(np.count_nonzero(estimate.psf)))
-    return _BLIND_WEIGHT * max(_LEAST_TRUST, estimate.confidence) ** 2
-
-
 def _are_one_scene(photos: Sequence[FloatArray]) -> bool:
     """Whether all photos show the scene of the first, as far as their blur lets one see."""
     seen = [ndimage.gaussian_filter(photo, _BLUR_PX) - ndimage.gaussian_filter(photo, 4 * _BLUR_PX) for photo in photos]
@@ -184,15 +175,17 @@ def _described(
     paths: Sequence[FoundPath], exposures: Exposures, found: Sequence[MotionEstimate], factor: int
 ) -> MotionEstimate:
     best = paths[0]
-    probability = _order_probability(paths, len(found))
+    probability = _order_probability(best, len(found) if exposures.photos else max(1, len(found) - 1))
     others = paths[1:_MOST_ALTERNATIVES]
-    shares = np.array([1 / max(other.cost / best.cost - 1, _LEAST_GAP) for other in others])
-    weights = (1.0,)
+    shares = np.array([1 / max(other.cost / best.cost - 1, _ALMOST_EQUAL) for other in others])
+    weights: tuple[float, ...] = (1.0,)
     if others:
-        rest = (1 - probability) * shares / shares.sum()
-        weights = (1 - float(rest.sum()), *rest.tolist())
+        rest = np.minimum((1 - probability) * shares / shares.sum(), probability)  # the best one stays the likeliest
+        weights = (probability, *rest.tolist())
+        weights = tuple(weight / sum(weights) for weight in weights)
     trajectories = tuple(Trajectory.from_samples(factor * path.path, direction="known") for path in (best, *others))
-    error_px = factor * float(np.sqrt((best.deviation_px**2).mean()))
+    deviation_px = _ERROR_RATIO * factor * best.deviation_px
+    error_px = float(np.sqrt((deviation_px**2).mean()))
     warnings = []
     if probability < 0.5:
         warnings.append(
@@ -216,7 +209,7 @@ def _described(
         details={
             "order_confidence": probability,
             "path_uncertainty_px": error_px,
-            "deviation_px": [factor * float(px) for px in best.deviation_px],
+            "deviation_px": deviation_px.tolist(),
             "misfit": best.misfit if np.isfinite(best.misfit) else None,
             "kernel_confidences": [one.confidence for one in found],
             "scale": 1 / factor,
@@ -224,17 +217,10 @@ def _described(
     )
 
 
-def _order_probability(paths: Sequence[FoundPath], photos: int) -> float:
-    """Probability that the best path is the true one to within 1 px: how much worse the next other path explains it."""
-    best = paths[0]
-    others = [other for other in paths[1:] if _apart_px(best.path, other.path) > _OTHER_PATH_PX]
-    gap = min((other.cost / best.cost - 1 for other in others), default=_NO_OTHER_GAP)
-    misfit = best.misfit if np.isfinite(best.misfit) else 1.0
-    odds = _ODDS[min(photos, len(_ODDS)) - 1] + _ODDS_OF_GAP * np.log10(max(gap, _LEAST_GAP) / _USUAL_GAP)
-    return float(1 / (1 + np.exp(_ODDS_OF_MISFIT * max(0.0, float(np.log(misfit))) - odds)))
+def _order_probability(best: FoundPath, photos: int) -> float:
+    """Probability that a path is the true one to within 1 px: as often as with so many photos of one scene.
 
-
-def _apart_px(path: FloatArray, other: FloatArray) -> float:
-    """Root mean square distance of two paths (K, 2) at equal times, centred."""
-    apart = path - other
-    return float(np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    It falls with what the path leaves unexplained.
+    """
+    share = _SHARE_RIGHT[min(photos, len(_SHARE_RIGHT)) - 1]
+    return share if np.isnan(best.misfit) else share * min(1.0, best.misfit**-_MISFIT_POWER)

@@ -33,7 +33,6 @@ FloatArray = NDArray[np.float64]
 
 _KNOTS = 53
 _SATURATION = 60.0
-_MEASURED = 3000.0  # weight above which kernels are measured, not found blind
 _LOOSE, _STIFF = 0.3, 30.0  # roughness beside kernels, beside photos: second differences of 0.2 px
 _DISTINCT_PX = 0.3
 _SIDE_STEP_PX = 6  # photos are cut to sides that the three grids divide
@@ -145,8 +144,7 @@ class _Search:
         self.loose, self.stiff = Roughness(self.unknowns, _LOOSE), Roughness(self.unknowns, _STIFF)
 
         self.kernels = {sigma: self._kernels_at(sigma) for sigma in (4.0, 2.5, 1.5)}
-        self.measured = float(exposures.weights.min()) > _MEASURED
-        self.sharpest = self._kernels_at(1.0, None if self.measured else belief * _SATURATION)
+        self.sharpest = self._kernels_at(1.0, belief * _SATURATION)
         self.centroids = torch.tensor(np.array([centroid_px(kernel)[::-1] for kernel in exposures.kernels]))
         self.scenes = [
             SceneTerm(self.unknowns, self.otfs, spectra, path_error_px=error_px)
@@ -160,10 +158,9 @@ class _Search:
         self.spend(0.25)
         x, costs = self._evolved(coarse, x, costs, rounds=_ROUNDS, steps=5, keep=_KEPT, share=0.4)
         if not self.scenes:
-            last: list[Term] = [self._kernels_at(0.5) if self.measured else self.sharpest, self.loose]
-            x, costs = self._best(last, x[:3], steps=20, keep=3)
+            x, costs = self._best(coarse, x[:3], steps=20, keep=3)
             self.spend(0.35)
-            return self._described(last, x, costs)
+            return self._described(coarse, x, costs)
         fine: list[Term] = [self.scenes[1], self.sharpest, self.stiff]
         x, costs = self._best(fine, x[:6], steps=6, keep=6)
         x, costs = self._evolved(fine, x, costs, rounds=_FINE_ROUNDS, steps=4, keep=5, share=0.2)
