@@ -28,7 +28,7 @@ _BLUR_PX = 12.0
 _KERNEL_SHARE, _FIT_SHARE = 0.45, 0.55  # of the time
 _BLIND_WEIGHT, _LEAST_TRUST = 300.0, 0.15  # a blind kernel's error: about a tenth of its square
 # by number of photos, on simulated walks, and the ratio of true to computed error: docs/decisions/motion-estimation.md
-_SHARE_RIGHT, _ERROR_RATIO = (0.2, 0.65, 0.8, 0.93), 2.0
+_SHARE_RIGHT, _ERROR_RATIO = (0.05, 0.6, 0.67, 0.93), 2.0
 _MISFIT_POWER = 4.0
 _ALMOST_EQUAL = 1e-3
 _MOST_ALTERNATIVES = 3
@@ -41,9 +41,9 @@ class CodedEstimator:
     walks are fitted to the kernels, crossed with each other, and fitted to the photos themselves where these show one
     scene: what one photo shows through the PSF of another must be what the other shows through its own.
 
-    ``confidence`` is the probability that the order is right: the share found so of simulated motions with as many photos. ``details`` hold it as
-    ``order_confidence``, the expected error ``path_uncertainty_px`` (rms over time) and ``deviation_px`` at
-    evenly spaced times.
+    ``confidence`` is the probability that the order is right: the share of simulated motions of which it was, with as
+    many photos. ``details`` hold it as ``order_confidence``, the expected error ``path_uncertainty_px`` (rms over time)
+    and ``deviation_px`` at evenly spaced times.
 
     Parameters
     ----------

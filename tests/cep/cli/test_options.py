@@ -16,6 +16,7 @@ from cep.cli.main import app
 GYRO = ["--method", "gyro", "--gyro", "gyro.csv", "--focal", "900", "--start", "0.1", "--exposure", "0.05"]
 FINE = {
     "calibrate": ["blurred.png", *GYRO],
+    "calibration-set": ["--photos", "2", "--chips", "8"],
     "optimize": ["--linear", "12", "--chips", "12", "--steps", "1000"],
     "pareto": ["--linear", "12", "--chips", "12", "--steps", "1000"],
     "audit": ["1011", "--linear", "9"],

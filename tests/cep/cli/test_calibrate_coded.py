@@ -1,0 +1,60 @@
+"""``cep calibrate P1 P2 --code C1 --code C2``: photos of one motion through known codes."""
+
+import numpy as np
+import pytest
+
+from cep.io.images import write_image
+from cep.optics.capture import capture
+from cep.optics.code import ShutterCode
+from motdiff.io.trajectories import read_motion
+from motdiff.trajectory import Trajectory
+
+PATH = Trajectory.from_samples([[0, 0], [5, 0], [9, 2], [11, 6], [11, 11]])
+CODES = ("1111111111111111", "1101000101101110")
+
+
+@pytest.fixture
+def photos(tmp_path, monkeypatch):
+    """Two photos of a scene along a bent path, open and coded."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(3)
+    scene = 0.1 + 0.8 * np.kron(rng.random((34, 34)), np.ones((8, 8)))
+    for name, code in zip(("open.png", "coded.png"), CODES, strict=True):
+        write_image(name, capture(scene, PATH, ShutterCode(code), rng=rng), bits=16)
+    return tmp_path
+
+
+@pytest.mark.slow(reason="two blind searches and a fit")
+def test_path_comes_with_its_order_in_time(cep, photos):
+    found = cep.succeeds("calibrate", "open.png", "coded.png", "--code", "open", "--code", CODES[1], "-o", "motion")
+    assert found["direction"] == "known"
+    assert 0 < found["order_confidence"] < 1
+    motion = read_motion(found["trajectory"])
+    times = np.linspace(0, 1, 101)
+    apart = [path.at(times) - PATH.at(times) for path in (motion.trajectory, motion.trajectory.reversed())]
+    forward, backward = (np.sqrt(((d - d.mean(axis=0)) ** 2).sum(axis=1).mean()) for d in apart)
+    assert forward < 1 < backward
+    assert motion.source["codes"] == list(CODES)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["open.png", "coded.png"], ["--code", "2 photos"]),
+        (["open.png", "coded.png", "--code", "open"], ["--code", "1 for 2 photos"]),
+        (["open.png", "coded.png", "--code", "open", "--code", "open"], ["order cannot be known"]),
+        (["open.png", "coded.png", "--code", "1101", "--code", CODES[1]], ["--code 2", "16 chips", "4"]),
+        (["open.png", "coded.png", "--code", "open", "--code", "0" * 16], ["open"]),
+        (["open.png", "coded.png", "--code", "open", "--code", "nothing"], ["nothing", "no code"]),
+        (["open.png", "small.png", "--code", "open", "--code", CODES[1]], ["photo 2", "px"]),
+        (["open.png", "missing.png", "--code", "open", "--code", CODES[1]], ["missing.png"]),
+        (["coded.png", "--code", CODES[1], "--method", "pmp"], ["code", "pmp"]),
+        (["coded.png", "--method", "coded"], ["code", "needed"]),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(cep, photos, arguments, words):
+    write_image("small.png", np.random.default_rng(0).random((100, 90)))
+    before = sorted(photos.rglob("*"))
+    line = cep.refuses("calibrate", *arguments)
+    assert all(word in line for word in words), line
+    assert sorted(photos.rglob("*")) == before
