@@ -11,6 +11,7 @@ import pytest
 
 from cep.io.files import read_psf
 from cep.io.images import read_image, write_image
+from cep.optics.code import ShutterCode
 from cep.workflows.calibrate import CALIBRATION_FILES, METHODS, estimate_motion, make_estimator, write_calibration
 from motdiff.estimators.base import MotionEstimate
 from motdiff.gyro import GyroTrace
@@ -65,7 +66,7 @@ def made(monkeypatch):
 
 
 def test_each_method_makes_its_estimator(small_weights):
-    needs = {"reference": {"sharp": np.eye(40)}, "gyro": GYRO}
+    needs = {"reference": {"sharp": np.eye(40)}, "gyro": GYRO, "coded": {"codes": [ShutterCode("1011")]}}
     for method in METHODS:
         name = type(make_estimator(method, **needs.get(method, {}))).__name__
         assert name.lower() == f"{method}estimator"
@@ -114,7 +115,7 @@ def test_a_steady_turn_gives_a_straight_path():
 @pytest.mark.parametrize(
     ("method", "options", "message"),
     [
-        ("magic", {}, "method: must be one of motdiff, pmp, reference, point, gyro, or module:name, got .magic."),
+        ("magic", {}, "method: must be one of motdiff, pmp, reference, point, gyro, coded, or module:name, got .magic."),
         ("reference", {}, "sharp: needed with method='reference'"),
         ("gyro", GYRO | {"focal_px": None}, "focal_px: needed with method='gyro'"),
         ("pmp", {"sharp": np.eye(40)}, "sharp: not valid with method='pmp'"),
