@@ -63,7 +63,12 @@ def search_order_codes(
     whole = np.ones(limits.chips, dtype=np.int8)
     given = [whole] if photos > 1 and limits.satisfied(whole[None])[0] else []
     search = _Search(limits, measure)
-    candidates = _candidates(limits, rng)
+    candidates = _known(limits)
+    searched = (
+        not given or photos > 2
+    )  # one code beside the open shutter, if searched, fits the few walks of the design
+    if searched or all(map(_is_own_mirror, candidates)):
+        candidates += _drawn(limits, rng)
     for i, code in enumerate(candidates):
         search.separation(code)
         progress(0.6 * i / len(candidates))
@@ -71,7 +76,7 @@ def search_order_codes(
     while len(given) + len(chosen) < photos:
         rest = [*given, *chosen]
         chosen.append(search.best(candidates, rest))
-    for done in range(_SWEEPS):
+    for done in range(_SWEEPS if searched else 0):
         before = search.score([*given, *chosen])
         for i in range(len(chosen)):
             rest = [*given, *chosen[:i], *chosen[i + 1 :]]
@@ -152,8 +157,8 @@ def longest_unseen(codes: ArrayLike) -> int:
     return max((length for is_open, length in seen.runs if not is_open), default=0)
 
 
-def _candidates(limits: Limits, rng: np.random.Generator) -> list[Code]:
-    """Known codes and their complements, brought within the limits, and random codes of few openings."""
+def _known(limits: Limits) -> list[Code]:
+    """Known codes and their complements, brought within the limits."""
     chips = limits.chips
     texts = (*_DE_BRUIJN, published("raskar-52").code.bits)
     known = [plane for planes in _GRAY_PLANES for plane in gray_planes(planes, chips)]
@@ -161,12 +166,21 @@ def _candidates(limits: Limits, rng: np.random.Generator) -> list[Code]:
     ramp = np.diff(np.floor(0.5 * chips * np.linspace(0, 1, chips + 1) ** 2 + 0.5)) > 0  # open ever more often
     known.append(ramp.astype(np.int8))
     near = (nearest(limits, code) for plain in known for code in (plain, 1 - plain))
-    found = [code for code in near if code is not None]
+    return _without_repeats([code for code in near if code is not None])
+
+
+def _drawn(limits: Limits, rng: np.random.Generator) -> list[Code]:
+    """Random codes of few openings."""
+    found: list[Code] = []
     for pulses in range(1, _MOST_PULSES + 1):
         few = replace(limits, runs=limits.runs.tightened(RunLimits(max_pulses=pulses)))
         if feasible(few):
             found += list(draw(few, _DRAWN, rng=rng))
-    return list({code.tobytes(): code for code in found}.values())
+    return _without_repeats(found)
+
+
+def _without_repeats(codes: Sequence[Code]) -> list[Code]:
+    return list({code.tobytes(): code for code in codes}.values())
 
 
 def _is_own_mirror(code: Code) -> bool:

@@ -115,7 +115,7 @@ def test_a_steady_turn_gives_a_straight_path():
 @pytest.mark.parametrize(
     ("method", "options", "message"),
     [
-        ("magic", {}, "method: must be one of motdiff, pmp, reference, point, gyro, coded, or module:name, got .magic."),
+        ("magic", {}, "method: must be one of motdiff, pmp, reference, point, gyro, coded, or module:name, got .mag"),
         ("reference", {}, "sharp: needed with method='reference'"),
         ("gyro", GYRO | {"focal_px": None}, "focal_px: needed with method='gyro'"),
         ("pmp", {"sharp": np.eye(40)}, "sharp: not valid with method='pmp'"),
