@@ -140,6 +140,8 @@ def calibrate(
         raise ValueError(
             f"IMAGE: several photos need --code, one for each, got {len(images)} photos; or give their folder"
         )
+    if code and any(one.is_dir() for one in images):
+        raise ValueError("--code: is for photos of one motion; give the photos, not a folder")
     if image.is_dir():
         _calibrate_folder(
             image, method, options, gamma=gamma, seed=seed, workers=workers, dask=dask, cache=cache, output=output,

@@ -99,7 +99,7 @@ def make_estimator(
 
     Parameters
     ----------
-    method : {"motdiff", "pmp", "reference", "point", "gyro"}, or ``module:name`` of the user's own
+    method : {"motdiff", "pmp", "reference", "point", "gyro", "coded"}, or ``module:name`` of the user's own
     samples : int, optional
         For "motdiff": motions drawn.
     seed : int
@@ -183,7 +183,8 @@ class Calibration(MotionEstimate):
     Attributes
     ----------
     photo : (H, W) or (H, W, 3) float, linear light 0..1
-        The other attributes are those of :class:`motdiff.estimators.base.MotionEstimate`.
+        The first one where there are several. The other attributes are those of
+        :class:`motdiff.estimators.base.MotionEstimate`.
     """
 
     photo: FloatArray = field(kw_only=True, repr=False)
@@ -280,8 +281,12 @@ def _from_codes(
     given = list(photos) if isinstance(photos, Sequence) else [photos]
     if len(given) != len(codes):
         raise ValueError(f"codes: needs one for each photo, got {len(codes)} for {len(given)} photos")
-    for one in given:
-        check_photo(one, kind)
+    for i, one in enumerate(given, 1):
+        try:
+            check_photo(one, kind)
+        except ValueError as error:
+            which = f"photo {i}: " if len(given) > 1 else "photo: "
+            raise ValueError(which + str(error).removeprefix("photo: ")) from None
     estimator = make_estimator(kind, seed=seed, progress=progress, **options)
     assert hasattr(estimator, "estimate_from")
     found: MotionEstimate = estimator.estimate_from([_as_light(one) for one in given])

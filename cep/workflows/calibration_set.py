@@ -44,8 +44,8 @@ class Separation:
     median, worst_tenth : float
         Over all other orders: energy of the change of the photos' PSFs over that of the open shutter's PSF.
     conditioning : float
-        Smallest rms MTF of the codes, worst tenth of the walks; cycles/px as of
-        :data:`cep.search.order_separation.BAND_CY_PX`.
+        Smallest rms MTF of the codes below :data:`cep.search.order_separation.BAND_CY_PX`; a tenth of the walks have
+        less.
     """
 
     walks: int

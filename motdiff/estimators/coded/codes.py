@@ -18,7 +18,7 @@ def check_codes(codes: Sequence[str]) -> None:
     Raises
     ------
     ValueError
-        If a code has no open chip, their numbers of chips differ, or all of them are open throughout.
+        If a code has no open chip, their numbers of chips differ, or each of them is its own mirror image.
     """
     for i, code in enumerate(codes, 1):
         if not code or set(code) - set("01") or "1" not in code:
@@ -30,4 +30,8 @@ def check_codes(codes: Sequence[str]) -> None:
     if all("0" not in code for code in codes):
         raise ValueError(
             "code: order cannot be known from photos with the shutter open throughout; take one through a code"
+        )
+    if all(code == code[::-1] for code in codes):
+        raise ValueError(
+            "code: the direction cannot be known from codes that are their own mirror images; take one through another"
         )

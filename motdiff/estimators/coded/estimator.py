@@ -28,10 +28,10 @@ _BLUR_PX = 12.0
 _KERNEL_SHARE, _FIT_SHARE = 0.45, 0.55  # of the time
 _BLIND_WEIGHT, _LEAST_TRUST = 300.0, 0.15  # a blind kernel's error: about a tenth of its square
 # by number of photos, on simulated walks, and the ratio of true to computed error: docs/decisions/motion-estimation.md
-_SHARE_RIGHT, _ERROR_RATIO = (0.05, 0.6, 0.67, 0.93), 2.0
+_SHARE_RIGHT, _ERROR_RATIO = (0.05, 0.6, 0.67, 0.93), 2.8
 _MISFIT_POWER = 4.0
 _ALMOST_EQUAL = 1e-3
-_MOST_ALTERNATIVES = 3
+_MOST_PATHS = 3
 
 
 class CodedEstimator:
@@ -42,8 +42,9 @@ class CodedEstimator:
     scene: what one photo shows through the PSF of another must be what the other shows through its own.
 
     ``confidence`` is the probability that the order is right: the share of simulated motions of which it was, with as
-    many photos. ``details`` hold it as ``order_confidence``, the expected error ``path_uncertainty_px`` (rms over time)
-    and ``deviation_px`` at evenly spaced times.
+    many photos through codes as ``cep calibration-set`` designs them. ``details`` hold it as ``order_confidence``, the
+    expected error ``path_uncertainty_px`` (rms over time) and ``deviation_px`` at evenly spaced times. ``weights`` are
+    relative among the paths found.
 
     Parameters
     ----------
@@ -51,8 +52,6 @@ class CodedEstimator:
         Bits of each photo's code, in the order of the photos; "1" throughout for an open shutter.
     kernels : Estimator, optional
         What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when omitted.
-    begin : Trajectory, optional
-        A path that is known to be near.
     seed : int
         Of the random starts.
     progress : callable, optional
@@ -71,12 +70,11 @@ class CodedEstimator:
         codes: Sequence[str],
         *,
         kernels: Estimator | None = None,
-        begin: Trajectory | None = None,
         seed: int = 0,
         progress: Callable[[float], None] | None = None,
     ) -> None:
         check_codes(codes)
-        self._codes, self._kernels, self._begin, self._seed, self._tell = tuple(codes), kernels, begin, seed, progress
+        self._codes, self._kernels, self._seed, self._tell = tuple(codes), kernels, seed, progress
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Estimate the motion from one coded photo, (H, W) or (H, W, 3) float, linear light 0..1."""
@@ -121,7 +119,7 @@ class CodedEstimator:
                 found = self._kernels_of(greys, progress)
             exposures = self._exposures(greys, found)
             rng = np.random.default_rng(self._seed)
-            paths = find_paths(exposures, rng=rng, begin=self._begin, progress=progress, cost=_FIT_SHARE)
+            paths = find_paths(exposures, rng=rng, progress=progress, cost=_FIT_SHARE)
             estimate = _described(paths, exposures, found, factor)
             progress.finish()
             return estimate
@@ -175,8 +173,9 @@ def _described(
     paths: Sequence[FoundPath], exposures: Exposures, found: Sequence[MotionEstimate], factor: int
 ) -> MotionEstimate:
     best = paths[0]
-    probability = _order_probability(best, len(found) if exposures.photos else max(1, len(found) - 1))
-    others = paths[1:_MOST_ALTERNATIVES]
+    together = bool(np.isfinite(best.misfit))
+    probability = _order_probability(best, len(found) if together else max(1, len(found) - 1))
+    others = paths[1:_MOST_PATHS]
     shares = np.array([1 / max(other.cost / best.cost - 1, _ALMOST_EQUAL) for other in others])
     weights: tuple[float, ...] = (1.0,)
     if others:
@@ -197,8 +196,9 @@ def _described(
             f"the path leaves {best.misfit:.1f} times the noise unexplained: was the motion the same in each photo, "
             "and are the codes given in the order of the photos?"
         )
-    if len(found) > 1 and not exposures.photos:
-        warnings.append("the photos show different scenes: the path is fitted to their kernels alone, and less exact")
+    if len(found) > 1 and not together:
+        why = "are too small beside their blur" if exposures.photos else "show different scenes"
+        warnings.append(f"the photos {why}: the path is fitted to their kernels alone, and less exact")
     return MotionEstimate(
         method="coded",
         trajectories=trajectories,

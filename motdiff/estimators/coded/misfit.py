@@ -248,7 +248,7 @@ def scene_spectra(photos: Sequence[FloatArray], *, grid: int, margin_px: int) ->
             np.stack([fft.rfft2(photo)[rows_of_photo, columns] for photo in fine]) * share, dtype=torch.complex64
         ),
         power=torch.tensor(power[rows_of_photo, columns] * share**2, dtype=torch.float32),
-        noise=float(own[:, beyond].mean()) * share**2,
+        noise=max(float(own[:, beyond].mean()), _LEAST_NOISE**2 * float((window**2).sum())) * share**2,
         window=torch.tensor(_window(side, grid, margin_px), dtype=torch.float32),
     )
 
@@ -404,7 +404,7 @@ def _descend(terms: Sequence[Term], x: Tensor, steps: int, tolerance: float) -> 
         lower = reached < costs[active]
         fallen = (costs[active] - reached) / costs[active]
         x[active[lower]], costs[active[lower]] = tried[lower], reached[lower]
-        damping[active] = torch.where(lower, 0.2 * damping[active], 5 * damping[active]).clamp(1e-7, 1e4)
+        damping[active] = torch.where(lower, 0.2 * damping[active], 5 * damping[active]).clamp(min=1e-7)
         active = active[~((lower & (fallen < tolerance)) | (damping[active] > _HOPELESS_DAMPING))]
         if not len(active):
             break
@@ -418,6 +418,7 @@ def _cost(terms: Sequence[Term], x: Tensor) -> Tensor:
 _SLOW_PX = 8.0  # slower differences of light (lamps, vignetting) are taken away
 _ONLY_NOISE_CY_PX = 0.5  # beyond it, in the corners of the spectrum, a blurred photo has nothing but noise
 _LEAST_LIGHT, _LEAST_PRODUCT = 1e-4, 0.02  # squared and simple: of OTFs at frequencies that no photo holds
+_LEAST_NOISE = 1e-3  # of full scale: 8 bits round by that, and files that were smoothed show less
 _ROWS_AT_ONCE, _CANDIDATES_AT_ONCE = 16, 24  # what fits the cache
 _HOPELESS_DAMPING = 1e2
 

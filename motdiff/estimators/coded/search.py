@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from motdiff.crops import pick_crops
 from motdiff.estimators.coded.misfit import (
     KernelTerm,
     Roughness,
@@ -25,7 +26,6 @@ from motdiff.estimators.coded.starts import crossed, decoded_paths, loop_reversa
 from motdiff.motions import boracchi_foi
 from motdiff.progress import Progress
 from motdiff.psf_frame import centroid_px
-from motdiff.trajectory import Trajectory
 
 __all__ = ["UNEXPLAINED", "Exposures", "FoundPath", "find_paths"]
 
@@ -98,7 +98,6 @@ def find_paths(
     exposures: Exposures,
     *,
     rng: np.random.Generator,
-    begin: Trajectory | None = None,
     progress: Progress | None = None,
     cost: float = 1.0,
 ) -> list[FoundPath]:
@@ -110,8 +109,6 @@ def find_paths(
     ----------
     exposures : Exposures
     rng : numpy Generator
-    begin : Trajectory, optional
-        A path that is known to be near: its orders are tried first.
     progress : Progress, optional
         Told of the work done, which it was told to expect.
     cost : float
@@ -123,7 +120,7 @@ def find_paths(
     """
     told = progress or Progress()
     search = _Search(exposures, rng, spend=lambda share: told.spend(share * cost), belief=1.0)
-    found = search.run(search.from_kernels(begin))
+    found = search.run(search.from_kernels())
     if found[0].misfit > UNEXPLAINED:
         told.expect_more(2 * cost)
         search = _Search(exposures, rng, spend=lambda share: told.spend(2 * share * cost), belief=_LITTLE_BELIEF)
@@ -139,6 +136,7 @@ class _Search:
         self, exposures: Exposures, rng: np.random.Generator, *, spend: Callable[[float], None], belief: float
     ) -> None:
         self.exposures, self.rng, self.spend, self.belief = exposures, rng, spend, belief
+        self.length_px = _USUAL_PX
         self.unknowns = Unknowns(_KNOTS, len(exposures.codes))
         self.otfs = CodedOtfs(exposures.codes, _KNOTS)
         self.loose, self.stiff = Roughness(self.unknowns, _LOOSE), Roughness(self.unknowns, _STIFF)
@@ -186,7 +184,7 @@ class _Search:
         side = min(_LARGEST_SIDE_PX, *(n // _SIDE_STEP_PX * _SIDE_STEP_PX for n in photos[0].shape))
         if side - 2 * margin_px < _LEAST_INSIDE_PX:
             return []
-        top, left = ((n - side) // 2 for n in photos[0].shape)
+        top, left = pick_crops(photos[0], size=side, count=1)[0]  # where the scene has texture
         cut = [photo[top : top + side, left : left + side] for photo in photos]
         return [scene_spectra(cut, grid=side // part, margin_px=margin_px) for part in (6, 3, 2)]
 
@@ -199,17 +197,16 @@ class _Search:
 
     def from_walks(self, known: Sequence[FloatArray]) -> Tensor:
         """Candidates from random walks, and from paths (K, 2) that were found before."""
-        self.length_px = _USUAL_PX
         lengths = _USUAL_PX * self.rng.uniform(0.5, 1.5, _LONE_WALKS)
         x = self._pack(np.stack([*known, *(self._walk(length) for length in lengths)]))
         return self.scenes[0].registered(x)
 
-    def from_kernels(self, begin: Trajectory | None) -> Tensor:
+    def from_kernels(self) -> Tensor:
         """Candidates from all kinds of starts, fitted to the kernels."""
         from motdiff.estimators.multiscale import without_faint_parts
         from motdiff.tracing import simplest_trajectory
 
-        traced = begin or simplest_trajectory(without_faint_parts(self.exposures.kernels[0]))
+        traced = simplest_trajectory(without_faint_parts(self.exposures.kernels[0]))
         self.length_px = float(np.clip(traced.length_px, 8, 90))
         starts = [
             self._decoded(_DECODED),
@@ -217,10 +214,8 @@ class _Search:
             np.stack([self._walk(self.length_px) for _ in range(_WALKS)]),
         ]
         x = self._pack(np.concatenate(starts))
-        for (_sigma, term), keep in zip(self.kernels.items(), (48, 24, 10), strict=True):
+        for term, keep in zip(self.kernels.values(), (48, 24, 10), strict=True):
             x, _ = self._best([term, self.loose], x, steps=8, keep=keep)
-        if begin is not None:
-            x = torch.cat([self._pack(begin.at(np.linspace(0, 1, _KNOTS))[None]), x])
         return self.scenes[0].registered(x) if self.scenes else x
 
     def _walk(self, length_px: float) -> FloatArray:
@@ -297,7 +292,7 @@ class _Search:
             scene = self.scenes[2] if self.scenes else None
             misfit = float(scene.cost(one)) / scene.values if scene else float("nan")
             curvature = matrix[0].double() + 1e-9 * matrix[0].diagonal().mean() * torch.eye(size)
-            spread = torch.linalg.inv(curvature)[: 2 * _KNOTS, : 2 * _KNOTS]
+            spread = 0.5 * torch.linalg.inv(curvature)[: 2 * _KNOTS, : 2 * _KNOTS]
             centring = torch.eye(_KNOTS).double() - 1 / _KNOTS  # the place of the whole path is of no account
             variance = sum((centring @ spread[axis::2, axis::2] @ centring).diagonal().clamp(min=0) for axis in (0, 1))
             assert isinstance(variance, Tensor)

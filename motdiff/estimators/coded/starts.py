@@ -113,7 +113,8 @@ def orders(path: Trajectory, *, knots: int, most: int) -> FloatArray:
     """
     fine = path.at(np.linspace(0, 1, 20 * (knots - 1) + 1))
     loops = _meetings(fine, path)
-    chosen = itertools.chain.from_iterable(itertools.combinations(loops, n) for n in range(len(loops) + 1))
+    subsets = itertools.chain.from_iterable(itertools.combinations(loops, n) for n in range(len(loops) + 1))
+    chosen = (subset for subset in subsets if not any(_overlap(*pair) for pair in itertools.combinations(subset, 2)))
     found = []
     for subset in itertools.islice(chosen, max(1, most // 2)):
         order = fine
@@ -161,10 +162,16 @@ def crossed(path: FloatArray, other: FloatArray, *, rng: np.random.Generator) ->
     return child
 
 
+def _overlap(loop: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether one loop begins within the other and ends outside: reversed, it moves the other's meeting point."""
+    (first, first_end), (second, second_end) = sorted([loop, other])
+    return first < second < first_end < second_end
+
+
 def _meetings(points: FloatArray, path: Trajectory) -> list[tuple[int, int]]:
     """Pairs of indices at which a path of points evenly spaced in time meets itself, nearest first."""
-    fine = points[:: max(1, len(points) // 240)]
     stride = max(1, len(points) // 240)
+    fine = points[::stride]
     apart = np.linalg.norm(fine[:, None] - fine, axis=-1)
     arc = np.interp(np.linspace(0, 1, len(points))[::stride], path.t, path.arc_px)
     apart[(np.abs(arc[:, None] - arc) < _LOOP_PX) | np.tri(len(fine), dtype=bool)] = np.inf

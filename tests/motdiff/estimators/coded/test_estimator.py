@@ -162,12 +162,3 @@ def test_photos_of_another_motion_are_doubted(shots, gray_codes) -> None:
     found = estimate(mixed)
     assert found.confidence < 0.5
     assert any("unexplained" in warning for warning in found.warnings)
-
-
-@SLOW
-def test_a_path_that_is_known_to_be_near_is_refined(shots, gray_codes) -> None:
-    path, t = loop_path(), np.linspace(0, 1, 80)
-    near = Trajectory.from_samples(path.at(t) + 0.7 * np.stack([np.sin(4 * t), np.cos(5 * t)], axis=1))
-    taken = shots(path, (OPEN, gray_codes(52, 1)[0]), side_px=144)
-    found = estimate(taken, begin=near)
-    assert error_px(found.best, path) < 0.5 * error_px(near, path)
