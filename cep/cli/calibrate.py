@@ -166,9 +166,7 @@ def calibrate(
         check_options(method, options)
         codes = load_codes(code) if code else None
         if codes is not None:
-            if len(codes) != len(images):
-                raise ValueError(f"--code: needs one for each photo, got {len(codes)} for {len(images)} photos")
-            check_codes([one.bits for one in codes])
+            check_codes([one.bits for one in codes], photos=len(images))
         if gyro_unit not in (None, "rad", "deg"):
             raise ValueError(f"--gyro-unit: must be rad or deg, got {gyro_unit!r}")
         parse_gamma(gamma)

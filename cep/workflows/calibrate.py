@@ -277,10 +277,8 @@ def _from_codes(
     if not isinstance(kind, str):
         raise ValueError("codes: not valid with an estimator of your own")
     check_options(kind, options)
-    check_codes([code.bits for code in codes])
     given = list(photos) if isinstance(photos, Sequence) else [photos]
-    if len(given) != len(codes):
-        raise ValueError(f"codes: needs one for each photo, got {len(codes)} for {len(given)} photos")
+    check_codes([code.bits for code in codes], photos=len(given))
     for i, one in enumerate(given, 1):
         try:
             check_photo(one, kind)

@@ -7,19 +7,24 @@ from collections.abc import Sequence
 __all__ = ["check_codes"]
 
 
-def check_codes(codes: Sequence[str]) -> None:
+def check_codes(codes: Sequence[str], *, photos: int | None = None) -> None:
     """Refuse codes from which no order in time can be told.
 
     Parameters
     ----------
     codes : sequence of str
         Bits, one code per photo.
+    photos : int, optional
+        How many photos there are, where that is known.
 
     Raises
     ------
     ValueError
-        If a code has no open chip, their numbers of chips differ, or each of them is its own mirror image.
+        If the numbers of photos and codes differ, a code has no open chip, the codes' numbers of chips differ, or each
+        of them is its own mirror image.
     """
+    if photos is not None and photos != len(codes):
+        raise ValueError(f"code: needs one for each photo, got {len(codes)} for {photos} photos")
     for i, code in enumerate(codes, 1):
         if not code or set(code) - set("01") or "1" not in code:
             raise ValueError(f"code {i}: needs bits with at least one open chip, got {code[:40]!r}")

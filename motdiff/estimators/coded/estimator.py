@@ -97,8 +97,7 @@ class CodedEstimator:
         ValueError
             If the numbers of photos and codes differ, the sizes differ, or a photo cannot be searched.
         """
-        if len(photos) != len(self._codes):
-            raise ValueError(f"code: needs one for each photo, got {len(self._codes)} for {len(photos)} photos")
+        check_codes(self._codes, photos=len(photos))
         with one_thread_a_call():
             progress = Progress(self._tell)
             progress.expect(1.0)

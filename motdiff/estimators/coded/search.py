@@ -110,9 +110,9 @@ def find_paths(
     exposures : Exposures
     rng : numpy Generator
     progress : Progress, optional
-        Told of the work done, which it was told to expect.
+        Where the work done is reported; its plan holds ``cost`` for it already.
     cost : float
-        Of a search, in the unit of ``progress``.
+        Of one search, in the unit of that plan.
 
     Returns
     -------
