@@ -216,41 +216,45 @@ class SceneSpectra:
         return images
 
 
-def scene_spectra(photos: Sequence[FloatArray], *, grid: int, margin_px: int) -> SceneSpectra:
-    """Spectra of photos (N, N) of one scene, on a grid that divides N.
+def scene_spectra(photos: Sequence[FloatArray], *, grids: Sequence[int], margin_px: int) -> list[SceneSpectra]:
+    """Spectra of photos (N, N) of one scene, on each of several grids that divide N.
 
     Parameters
     ----------
     photos : sequence of I (N, N) float, linear light
-    grid : int
+    grids : sequence of int
     margin_px : int
         How far the blur reaches.
     """
     side = len(photos[0])
-    fine = [photo - ndimage.gaussian_filter(photo, _SLOW_PX) for photo in photos]
+    fine = np.stack([photo - ndimage.gaussian_filter(photo, _SLOW_PX) for photo in photos])
     window = _window(side, side, margin_px)
-    fy, fx = (np.fft.fftfreq(grid) * grid / side)[:, None], (np.fft.rfftfreq(grid) * grid / side)[None]
-    radius = np.hypot(fy, fx)
-    kept = (radius < 0.48 * grid / side) & (radius > 1 / 64) & ~((fx == 0) & (fy < 0))
-    rows, columns = np.nonzero(kept)
-    rows_of_photo = np.where(rows > grid // 2, rows - grid + side, rows)
-    share = (grid / side) ** 2
-    own = np.abs(np.stack([fft.rfft2(window * photo) for photo in fine])) ** 2
+    spectra, own = fft.rfft2(fine), np.abs(fft.rfft2(window * fine)) ** 2
     beyond = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None]) > _ONLY_NOISE_CY_PX
+    noise = max(float(own[:, beyond].mean()), _LEAST_NOISE**2 * float((window**2).sum()))
     whole = np.concatenate([own[..., :0:-1], own], axis=-1).mean(axis=0)
     power = ndimage.gaussian_filter(whole, 4)[:, side // 2 :]
-    return SceneSpectra(
-        side_px=side,
-        grid=grid,
-        kept=torch.tensor(np.flatnonzero(kept.ravel())),
-        f=torch.tensor(np.stack([np.broadcast_to(f, kept.shape)[kept] for f in (fx, fy)], axis=1), dtype=torch.float32),
-        photos=torch.tensor(
-            np.stack([fft.rfft2(photo)[rows_of_photo, columns] for photo in fine]) * share, dtype=torch.complex64
-        ),
-        power=torch.tensor(power[rows_of_photo, columns] * share**2, dtype=torch.float32),
-        noise=max(float(own[:, beyond].mean()), _LEAST_NOISE**2 * float((window**2).sum())) * share**2,
-        window=torch.tensor(_window(side, grid, margin_px), dtype=torch.float32),
-    )
+
+    def on(grid: int) -> SceneSpectra:
+        fy, fx = (np.fft.fftfreq(grid) * grid / side)[:, None], (np.fft.rfftfreq(grid) * grid / side)[None]
+        radius = np.hypot(fy, fx)
+        kept = (radius < 0.48 * grid / side) & (radius > 1 / 64) & ~((fx == 0) & (fy < 0))
+        rows, columns = np.nonzero(kept)
+        rows_of_photo = np.where(rows > grid // 2, rows - grid + side, rows)
+        share = (grid / side) ** 2
+        f = np.stack([np.broadcast_to(f, kept.shape)[kept] for f in (fx, fy)], axis=1)
+        return SceneSpectra(
+            side_px=side,
+            grid=grid,
+            kept=torch.tensor(np.flatnonzero(kept.ravel())),
+            f=torch.tensor(f, dtype=torch.float32),
+            photos=torch.tensor(spectra[:, rows_of_photo, columns] * share, dtype=torch.complex64),
+            power=torch.tensor(power[rows_of_photo, columns] * share**2, dtype=torch.float32),
+            noise=noise * share**2,
+            window=torch.tensor(_window(side, grid, margin_px), dtype=torch.float32),
+        )
+
+    return [on(grid) for grid in grids]
 
 
 class SceneTerm:

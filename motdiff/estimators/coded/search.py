@@ -186,7 +186,7 @@ class _Search:
             return []
         top, left = pick_crops(photos[0], size=side, count=1)[0]  # where the scene has texture
         cut = [photo[top : top + side, left : left + side] for photo in photos]
-        return [scene_spectra(cut, grid=side // part, margin_px=margin_px) for part in (6, 3, 2)]
+        return scene_spectra(cut, grids=[side // part for part in (6, 3, 2)], margin_px=margin_px)
 
     def _pack(self, paths: FloatArray) -> Tensor:
         """Candidates of paths (B, K, 2), centred, with the kernels' shifts that lay centroid on centroid."""

@@ -33,7 +33,7 @@ def disturbed(count: int, *, size: float = 0.3) -> torch.Tensor:
 
 def scene_term(taken, *, part: int = 2, path_error_px: float = 0.0, brightness: float = 1.0) -> SceneTerm:
     photos = [brightness * photo for photo in taken.photos]
-    spectra = scene_spectra(photos, grid=SIDE_PX // part, margin_px=30)
+    (spectra,) = scene_spectra(photos, grids=[SIDE_PX // part], margin_px=30)
     return SceneTerm(UNKNOWNS, CodedOtfs(taken.codes, KNOTS), spectra, path_error_px=path_error_px)
 
 
