@@ -13,7 +13,7 @@ from motdiff.metrics import register_shift
 from motdiff.psf_frame import in_frame
 from motdiff.trajectory import Trajectory
 
-__all__ = ["crossed", "decoded_paths", "loop_reversals", "orders"]
+__all__ = ["bridged", "crossed", "decoded_paths", "loop_reversals", "orders"]
 
 FloatArray = NDArray[np.float64]
 
@@ -159,6 +159,30 @@ def crossed(path: FloatArray, other: FloatArray, *, rng: np.random.Generator) ->
     share = np.linspace(0, 1, stop - start + 1)[:, None]
     child = path.copy()
     child[start : stop + 1] = other[start : stop + 1] + (1 - share) * gap_start + share * gap_stop
+    return child
+
+
+def bridged(path: FloatArray, walk: FloatArray, *, rng: np.random.Generator) -> FloatArray:
+    """Return a path with a stretch, 15 to 60 % of it, drawn anew: as in a walk, or run backwards, between its ends.
+
+    Parameters
+    ----------
+    path, walk : (K, 2) float, px
+    rng : numpy Generator
+    """
+    knots = len(path)
+    length = int(knots * rng.uniform(0.15, 0.6))
+    middle = int(rng.integers(knots))
+    start, stop = max(0, middle - length // 2), min(knots - 1, middle + length - length // 2)
+    new = path[start : stop + 1][::-1] if rng.random() < 0.25 else walk[start : stop + 1]
+    gaps = [path[start] - new[0], path[stop] - new[-1]]
+    if start == 0:  # an end of the path may lie elsewhere
+        gaps[0] = gaps[1]
+    elif stop == knots - 1:
+        gaps[1] = gaps[0]
+    share = np.linspace(0, 1, stop - start + 1)[:, None]
+    child = path.copy()
+    child[start : stop + 1] = new + (1 - share) * gaps[0] + share * gaps[1]
     return child
 
 
