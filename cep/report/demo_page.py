@@ -223,7 +223,12 @@ def _photos(chain: Chain) -> Section:
         "coded, restored": coded_shot.restored,
         "scene at rest": chain.reference,
     }
-    likely = {"forward": "runs as drawn", "reverse": "runs backwards", "undecidable": "cannot be told"}
+    likely = {
+        "forward": "runs as drawn",
+        "reverse": "runs backwards",
+        "reordered": "runs through some of its loops the other way round",
+        "undecidable": "cannot be told",
+    }
     paragraphs = [
         f"The coded photo is simulated: this camera, this motion, this code. The direction test says that the motion "
         f"{likely[chain.direction.direction]} (confidence {chain.direction.confidence:.2f})."

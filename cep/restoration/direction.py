@@ -1,13 +1,15 @@
-"""Test of the direction of motion in a coded photo: the code makes the PSFs of the two directions differ.
+"""Test of the order in time of a motion in a coded photo: the code makes the PSFs of its orders differ.
 
-Two clues are weighed. Frequencies that the code passes along one direction and stops along the other show in the
-photo's power spectrum (its likelihood under each PSF). And the wrong PSF leaves ringing, so the restored scene has more
-and weaker gradients: the ratio of their L1 to their L2 norm, which a straight path's equal MTFs do not hide.
+A path may have been run forward, in reverse, or, where it meets itself, with some of its loops the other way round.
+Two clues are weighed. Frequencies that the code passes along one order and stops along another show in the photo's
+power spectrum (its likelihood under each PSF). And a wrong PSF leaves ringing, so the restored scene has more and
+weaker gradients: the ratio of their L1 to their L2 norm, which a straight path's equal MTFs do not hide.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -18,6 +20,7 @@ from cep.optics.exposure import coded_psf
 from cep.restoration.noise import fit_spectrum
 from cep.restoration.spectral import channels_first, trimmed_psf
 from cep.restoration.wiener import wiener
+from motdiff.estimators.coded.starts import orders
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
@@ -32,33 +35,41 @@ _FEATURELESS = 1e-6
 # scene can make either clue large and wrong (benchmarks/direction.py)
 _WEIGHTS = (1.25, 3.0)
 _SCALES = (0.003, 0.01)
+_SAME_RESTORATION_MNC = 0.97
+_ORDER_KNOTS, _MOST_ORDERS = 201, 24
+_REORDERED = 2.0  # log odds against an order with loops reversed, for lack of which rough paths lose: docs/decisions
 _SMOOTHER = 4.0  # the sparsity clue is clearest with more regularisation than restores best
 
 
 @dataclass(frozen=True)
 class DirectionResult:
-    """Outcome of the two-direction test.
+    """Outcome of the test of orders in time.
 
     Attributes
     ----------
-    direction : {"forward", "reverse", "undecidable"}
-        "undecidable" when the two PSFs are practically the same, or the photo is flat.
+    direction : {"forward", "reverse", "reordered", "undecidable"}
+        "reordered" when loops within the path were run the other way round; "undecidable" when all PSFs are practically
+        the same, or the photo is flat.
     confidence : float
-        Estimated probability that the direction is right, 0.5..1; 0.5 when undecidable.
-    likelihoods : (2,) tuple of float
-        Mean negative log-likelihood per frequency, forward and reverse; the smaller fits better.
-    residuals : (2,) tuple of float
-        L1 over L2 norm of the restored scene's gradients, per square root of their number, forward and reverse; the
-        smaller is the sparser, less ringing one.
+        Estimated probability that the chosen order, or one of practically its PSF, is right, where one of those tested
+        is; 0.5 when undecidable.
+    likelihoods : tuple of float
+        Mean negative log-likelihood per frequency, of forward, reverse and the other orders; the smallest fits best.
+    residuals : tuple of float
+        L1 over L2 norm of the restored scene's gradients, per square root of their number, in the same order; the
+        smallest is the sparsest, least ringing one.
     psf : (S, S) float ndarray
-        Light-true PSF of the chosen direction; the forward one when undecidable.
+        Light-true PSF of the chosen order; the forward one when undecidable.
+    trajectory : Trajectory or None
+        The path in the chosen order; None where PSFs were compared.
     """
 
-    direction: Literal["forward", "reverse", "undecidable"]
+    direction: Literal["forward", "reverse", "reordered", "undecidable"]
     confidence: float
-    likelihoods: tuple[float, float]
-    residuals: tuple[float, float]
+    likelihoods: tuple[float, ...]
+    residuals: tuple[float, ...]
     psf: FloatArray
+    trajectory: Trajectory | None = None
 
 
 def detect_direction(  # a test of directions, not a test
@@ -68,7 +79,9 @@ def detect_direction(  # a test of directions, not a test
     *,
     size: int = PSF_PX,
 ) -> DirectionResult:
-    """Test whether a coded ``photo`` was taken along ``trajectory`` or along its reverse.
+    """Test in which order in time a coded ``photo`` was taken along ``trajectory``.
+
+    The orders are forward, reverse, and those with loops of the path reversed.
 
     Parameters
     ----------
@@ -92,9 +105,10 @@ def detect_direction(  # a test of directions, not a test
     >>> detect_direction(capture(scene, path.reversed(), code, rng=rng), path, code).direction
     'reverse'
     """
-    frame = max(size, trajectory.frame_size(), trajectory.reversed().frame_size())
-    forward, reverse = (coded_psf(path, code, frame) for path in (trajectory, trajectory.reversed()))
-    return compare_psfs(photo, forward, reverse)
+    paths = _orders(trajectory)
+    frame = max(size, *(path.frame_size() for path in paths))
+    result, chosen = _compared(photo, [coded_psf(path, code, frame) for path in paths])
+    return replace(result, trajectory=paths[chosen])
 
 
 def compare_psfs(photo: ArrayLike, forward: ArrayLike, reverse: ArrayLike) -> DirectionResult:
@@ -111,22 +125,59 @@ def compare_psfs(photo: ArrayLike, forward: ArrayLike, reverse: ArrayLike) -> Di
     ValueError
         If an argument is malformed.
     """
-    kernels = (trimmed_psf(forward), trimmed_psf(reverse))
+    return _compared(photo, [np.asarray(psf, dtype=np.float64) for psf in (forward, reverse)])[0]
+
+
+def _orders(trajectory: Trajectory) -> list[Trajectory]:
+    """Orders in time of a path: as given, reversed, then those with loops reversed, if it has any."""
+    others = orders(trajectory, knots=_ORDER_KNOTS, most=_MOST_ORDERS)[2:]
+    reordered = [Trajectory.from_samples(xy, direction=trajectory.direction) for xy in others]
+    return [trajectory, trajectory.reversed(), *reordered]
+
+
+def _compared(photo: ArrayLike, psfs: Sequence[FloatArray]) -> tuple[DirectionResult, int]:
+    """Return the result and the index of the chosen PSF; those that an earlier one equals are left out of account."""
+    kernels = [trimmed_psf(psf) for psf in psfs]
     image = _middle(channels_first(photo).mean(axis=0))
     spectra = [fit_spectrum(image, kernel, shaped=True) for kernel in kernels]
     noise = min(spectrum.noise for spectrum in spectra)
     reach = min(max(kernel.shape[0] // 2 for kernel in kernels), min(image.shape) // 4)
     ringing = [_gradient_spread(wiener(image, kernel, noise_variance=_SMOOTHER * noise), reach) for kernel in kernels]
-    likelihoods = (spectra[0].cost, spectra[1].cost)
-    residuals = (ringing[0], ringing[1])
-    clues = (likelihoods[1] - likelihoods[0], (residuals[1] - residuals[0]) / (sum(residuals) or 1.0))
-    log_odds = sum(w * np.tanh(c / scale) for w, c, scale in zip(_WEIGHTS, clues, _SCALES, strict=True))
-    if np.ptp(image) < _FEATURELESS or mnc_subpixel(*kernels) > _ONE_PSF_MNC or log_odds == 0:
-        return DirectionResult("undecidable", 0.5, likelihoods, residuals, np.asarray(forward, dtype=np.float64))
-    confidence = float(1 / (1 + np.exp(-abs(log_odds))))
-    direction: Literal["forward", "reverse"] = "forward" if log_odds > 0 else "reverse"
-    psf = np.asarray(forward if direction == "forward" else reverse, dtype=np.float64)
-    return DirectionResult(direction, confidence, likelihoods, residuals, psf)
+    likelihoods, residuals = tuple(spectrum.cost for spectrum in spectra), tuple(ringing)
+    undecidable = DirectionResult("undecidable", 0.5, likelihoods, residuals, psfs[0])
+    tested = _distinct(kernels)
+    if len(tested) == 1 or np.ptp(image) < _FEATURELESS:
+        return undecidable, 0
+    log_odds = _log_odds(np.array(likelihoods)[tested], np.array(ringing)[tested])
+    prior = np.where(np.array(tested) < 2, 0.0, -_REORDERED)
+    odds = np.exp(prior - prior[:, None] - log_odds)  # of the others against each
+    best = int(odds.sum(axis=1).argmin())
+    if (odds == 1).all():
+        return undecidable, 0
+    same = [mnc_subpixel(kernels[tested[best]], kernels[i]) > _SAME_RESTORATION_MNC for i in tested]
+    same[best] = True
+    confidence = float(odds[best, same].sum() / odds[best].sum()) if len(tested) > 2 else float(1 / odds[best].sum())
+    chosen = tested[best]
+    direction: Literal["forward", "reverse", "reordered"]
+    direction = "forward" if chosen == 0 else "reverse" if chosen == 1 else "reordered"
+    return DirectionResult(direction, confidence, likelihoods, residuals, psfs[chosen]), chosen
+
+
+def _distinct(kernels: Sequence[FloatArray]) -> list[int]:
+    """List the kernels, by index, that no earlier one equals."""
+    kept: list[int] = []
+    for i, kernel in enumerate(kernels):
+        if all(mnc_subpixel(kernels[j], kernel) <= _ONE_PSF_MNC for j in kept):
+            kept.append(i)
+    return kept
+
+
+def _log_odds(likelihoods: FloatArray, ringing: FloatArray) -> FloatArray:
+    """Log odds (N, N) of each PSF against each other."""
+    total = ringing[:, None] + ringing
+    clues = (likelihoods - likelihoods[:, None], (ringing - ringing[:, None]) / np.where(total > 0, total, 1.0))
+    weighed = [w * np.tanh(clue / scale) for w, clue, scale in zip(_WEIGHTS, clues, _SCALES, strict=True)]
+    return np.asarray(sum(weighed), dtype=np.float64)
 
 
 def _middle(image: FloatArray) -> FloatArray:

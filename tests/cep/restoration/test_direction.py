@@ -7,6 +7,8 @@ from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration import compare_psfs, direction
+from motdiff.estimators.coded.starts import orders
+from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -72,6 +74,32 @@ def test_symmetric_cases_are_undecidable(path, code):
     assert result.direction == "undecidable"
     assert result.confidence == 0.5
     np.testing.assert_allclose(result.psf, coded_psf(path, code))
+
+
+def eight():
+    """A figure of eight that is open at one end: four orders draw its PSF."""
+    turn = np.linspace(-0.3 * np.pi, 1.3 * np.pi, 200)
+    return Trajectory.from_samples(np.stack([9 * np.sin(turn), 6 * np.sin(2 * turn)], axis=1))
+
+
+def test_a_loop_that_was_run_the_other_way_round_is_found():
+    path = eight()
+    others = orders(path, knots=201, most=24)
+    assert len(others) == 4
+    for i, xy in enumerate(others):
+        taken = Trajectory.from_samples(xy)
+        result = direction.detect_direction(photo_along(taken, RASKAR_52), path, RASKAR_52)
+        assert result.direction == ("forward", "reverse", "reordered", "reordered")[i]
+        assert len(result.likelihoods) == len(result.residuals) == 4
+        assert mnc_subpixel(result.psf, coded_psf(taken, RASKAR_52)) > 0.99
+        np.testing.assert_allclose(coded_psf(result.trajectory, RASKAR_52), result.psf, atol=1e-12)
+        assert 0.5 < result.confidence <= 1
+
+
+def test_a_path_without_loops_has_two_orders():
+    result = direction.detect_direction(photo_along(curved(), RASKAR_52), curved(), RASKAR_52)
+    assert len(result.likelihoods) == 2
+    np.testing.assert_array_equal(result.trajectory.xy, curved().xy)
 
 
 def test_featureless_photo_is_undecidable():
