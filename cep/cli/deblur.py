@@ -1,4 +1,4 @@
-"""``cep deblur``: restore a photo along a trajectory or with a PSF."""
+"""``cep deblur``: restore a photo along a trajectory, with a PSF, or from the photo alone."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cep.cli.console import finish, progress
+from cep.cli.console import finish, part, progress
 from cep.cli.options import (
     MOTION,
     CameraFile,
@@ -66,13 +66,20 @@ def deblur(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Restore a photo; when the direction of the motion is unknown both are tried, and it is said which fits.
+    """Restore a photo along a trajectory, with a PSF, or with neither: the PSF is then searched in the photo itself.
+
+    Along a trajectory of unknown direction the orders in time that it may have had are tested, and it is said which
+    fits: forward, reverse, or reordered where loops were run the other way round. A single photo without a trajectory
+    shows its PSF, but seldom the order in time; give --code for its light.
 
     The camera's figures are for the methods wiener and pnp.
 
     Example: cep deblur coded.png --trajectory trajectory.json --code code.json -o sharp.png
+
+    Example: cep deblur coded.png --code code.json -o sharp.png
     """
-    with progress("restoring"):
+    with progress("restoring") as tick:
+        tick(0.0, "reading the photo")
         from cep.codes.sources import load_code
         from cep.io.images import check_image_name, parse_gamma, read_photo
         from cep.io.outputs import claim
@@ -86,13 +93,13 @@ def deblur(
         from cep.io.files import read_psf
         from cep.optics.path_limits import check_resolved
         from cep.restoration import find_method, restore
-        from cep.workflows.calibrate import check_texture
+        from cep.workflows.calibrate import check_photo, check_texture
 
         find_method(method)
-        if (trajectory is None) == (psf is None):
-            raise ValueError("--trajectory FILE or --psf FILE: exactly one of them is needed")
+        if trajectory is not None and psf is not None:
+            raise ValueError("--trajectory FILE and --psf FILE: give one of them at most")
         if psf is not None and code is not None:
-            raise ValueError("--code: goes with --trajectory; a --psf file already holds the code")
+            raise ValueError("--code: not valid with --psf, whose file already holds the code")
         options = {}
         if camera is not None or photons is not None or read_noise is not None:
             if method not in ("wiener", "pnp"):
@@ -104,16 +111,27 @@ def deblur(
             check_resolved(motion, shutter.chips)
         kernel = None if psf is None else read_psf(psf)
         photo = read_photo(image, gamma=gamma)
+        blind = motion is None and kernel is None
         try:
-            check_texture(photo.pixels)
+            if blind:
+                check_photo(photo.pixels, "pmp")
+            else:
+                check_texture(photo.pixels)
         except ValueError as error:
-            raise ValueError(f"{image}: {error}") from None
-        restored = restore(photo.pixels, kernel, trajectory=motion, code=shutter, method=method, **options)
+            raise ValueError(f"{image}: {str(error).removeprefix('photo: ')}") from None
+        tick(0.05, "searching the PSF" if blind else "restoring")
+        restored = restore(
+            photo.pixels, kernel, trajectory=motion, code=shutter, method=method, progress=part(tick, 0.05, 0.98),
+            **options,
+        )  # fmt: skip
         restored.save(target, bits=photo.bits, gamma=gamma)
-    direction, test = restored.direction or "given by the PSF", restored.direction_test
+        tick(1.0)
+    direction, test = restored.direction or ("unknown" if blind else "given by the PSF"), restored.direction_test
     result = {
         "image": target,
         "method": method,
+        "psf_source": "photo" if blind else "trajectory" if psf is None else "file",
+        "psf_confidence": restored.psf_confidence,
         "direction": direction,
         "direction_confidence": None if test is None else test.confidence,
         "direction_likelihoods": None if test is None else test.likelihoods,
@@ -123,8 +141,15 @@ def deblur(
         "seed": seed,
         "warnings": [*photo.warnings, *restored.warnings],
     }
-    sure = "" if test is None else f" (confidence {test.confidence:.2f})"
+    if restored.psf_confidence is None:
+        sure = "" if test is None else f" (confidence {test.confidence:.2f})"
+        motion_line = f"{target}: {method}, direction {direction}{sure}"
+    else:
+        motion_line = (
+            f"{target}: restored with the PSF found in this photo alone, which is good with probability "
+            f"{restored.psf_confidence:.2f}; its order in time is not known; {method}"
+        )
     finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{target}: {method}, direction {direction}{sure}, residual {restored.residual:.3g} of full scale; "
+        f"{motion_line}, residual {restored.residual:.3g} of full scale; "
         f"the outer {restored.unreliable_px} px lean on a guess"
     ))  # fmt: skip

@@ -1,5 +1,6 @@
-"""Restoration of blurred and coded photos: inverse, Wiener, TV, L0, a denoiser; real borders; the direction test."""
+"""Restoration of blurred and coded photos: inverse, Wiener, TV, L0, a denoiser; real borders; blind PSFs; orders."""
 
+from cep.restoration.blind import FoundPsf, find_psf
 from cep.restoration.direction import DirectionResult, compare_psfs, detect_direction
 from cep.restoration.inverse import inverse_filter
 from cep.restoration.l0 import l0, tv_less_ringing
@@ -11,10 +12,12 @@ from cep.restoration.wiener import wiener
 __all__ = [
     "METHODS",
     "DirectionResult",
+    "FoundPsf",
     "Restoration",
     "compare_psfs",
     "detect_direction",
     "find_method",
+    "find_psf",
     "inverse_filter",
     "l0",
     "misfit",

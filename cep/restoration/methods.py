@@ -1,4 +1,4 @@
-"""Restoration of a photo by one of the methods, along a trajectory or with a PSF, and the checks of its result."""
+"""Restoration of a photo by one of the methods: along a trajectory, with a PSF or blindly; checks of the result."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from scipy import signal
 from cep.io.images import encode_image, write_image
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
+from cep.restoration.blind import find_psf
 from cep.restoration.direction import DirectionResult, detect_direction
 from cep.restoration.inverse import inverse_filter
 from cep.restoration.l0 import l0, tv_less_ringing
@@ -40,6 +41,7 @@ METHODS: Mapping[str, Callable[..., FloatArray]] = {
 _CLIPPED = 0.995
 _FULL_LIGHT = 1.001  # 1, but for rounding
 _WORTH_TELLING = 1e-3
+_SEARCH_SHARE = 0.9  # of the time of a blind restoration
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,10 @@ class Restoration:
     method : str
     psf : (S, S) float ndarray
         Light-true PSF that it was restored with.
-    direction : {"known", "unknown", "forward", "reverse", "undecidable"} or None
-        Direction of the motion: the trajectory's, or the result of the test; None where a PSF was given.
+    psf_confidence : float or None
+        Probability that a PSF found in the photo alone is a good one; None where PSF or trajectory were given.
+    direction : {"known", "unknown", "forward", "reverse", "reordered", "undecidable"} or None
+        Direction of the motion: the trajectory's, or the result of the test; None without a trajectory.
     direction_test : DirectionResult or None
         The test, where there was one.
     residual : float
@@ -70,6 +74,7 @@ class Restoration:
     image: FloatArray
     method: str
     psf: FloatArray
+    psf_confidence: float | None
     direction: str | None
     direction_test: DirectionResult | None
     residual: float
@@ -98,12 +103,14 @@ def restore(
     trajectory: Trajectory | None = None,
     code: ShutterCode | None = None,
     method: str | Callable[..., ArrayLike] = "wiener",
+    progress: Callable[[float, str], None] = lambda _share, _what: None,
     **options: Any,
 ) -> Restoration:
-    """Restore a photo with a PSF, or along the trajectory that it was exposed on.
+    """Restore a photo with a PSF, along the trajectory that it was exposed on, or with neither: from the photo alone.
 
-    Along a trajectory of unknown direction a coded photo is tested for both, see
-    :func:`cep.restoration.direction.detect_direction`.
+    Along a trajectory of unknown direction a coded photo is tested for its orders in time, see
+    :func:`cep.restoration.direction.detect_direction`. Without trajectory and PSF the PSF is searched in the photo, see
+    :func:`cep.restoration.blind.find_psf`.
 
     Parameters
     ----------
@@ -113,18 +120,20 @@ def restore(
     trajectory : Trajectory, optional
         Instead of a PSF.
     code : ShutterCode, optional
-        Of an exposure along a trajectory; the open shutter when omitted.
+        Of the exposure, without a PSF; the open shutter when omitted.
     method : str or callable
         "wiener", "inverse", "tv", "l0", "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser); or a
         function of your own, or its ``module:name``, that takes (photo, psf) and returns the restored photo.
+    progress : callable, optional
+        Called with the finished share 0..1 and what is being done.
     **options
         Passed on to the method, as ``camera`` to "wiener" and "pnp".
 
     Raises
     ------
     ValueError
-        If the method is not known or refuses its arguments, not exactly one of PSF and trajectory is given, a code is
-        given with a PSF, or the motion does not fit into the photo.
+        If the method is not known or refuses its arguments, both PSF and trajectory are given, a code is given with a
+        PSF, the motion does not fit into the photo, or a PSF cannot be searched in it.
 
     Examples
     --------
@@ -137,13 +146,14 @@ def restore(
     ((70, 70), True)
     """
     named, apply = find_method(method)
-    if (psf is None) == (trajectory is None):
-        raise ValueError("trajectory and psf: exactly one of them is needed")
+    if psf is not None and trajectory is not None:
+        raise ValueError("trajectory and psf: give one of them at most")
     if psf is not None and code is not None:
-        raise ValueError("code: goes with a trajectory; a PSF holds its code already")
+        raise ValueError("code: not valid with a PSF, which holds its code already")
     started = time.perf_counter()
     channels = channels_first(photo)
     direction: str | None = None
+    psf_confidence: float | None = None
     test: DirectionResult | None = None
     notes: list[str] = []
     if trajectory is not None:
@@ -156,7 +166,12 @@ def restore(
             psf = coded_psf(trajectory, code or ShutterCode("1"), size=trajectory.frame_size(PSF_PX))
         if direction == "undecidable":
             notes.append("the photo does not tell the direction of the motion; forward was taken")
+    elif psf is None:
+        found = find_psf(photo, code, progress=lambda share: progress(_SEARCH_SHARE * share, "searching the PSF"))
+        psf, psf_confidence = found.psf, found.confidence
+        notes += found.warnings
     assert psf is not None
+    progress(0.0 if psf_confidence is None else _SEARCH_SHARE, "restoring")
     kernel = trimmed_psf(psf)
     if trajectory is None:
         _check_reach("psf", len(kernel), channels)
@@ -174,9 +189,10 @@ def restore(
     image = np.asarray(apply(photo, psf, **options), dtype=np.float64)
     if image.shape != np.shape(photo):
         raise ValueError(f"method: {named} returned an image of shape {image.shape}, wanted {np.shape(photo)}")
+    progress(1.0, "restoring")
     return Restoration(
-        image, named, np.asarray(psf, dtype=np.float64), direction, test, misfit(photo, image, psf), reach, clipped,
-        tuple(notes), time.perf_counter() - started,
+        image, named, np.asarray(psf, dtype=np.float64), psf_confidence, direction, test, misfit(photo, image, psf),
+        reach, clipped, tuple(notes), time.perf_counter() - started,
     )  # fmt: skip
 
 

@@ -457,7 +457,6 @@ def test_unknown_kinds_of_output(refused, workplace, arguments):
         ["calibrate", "blurred.png", "--gamma", "7"],
         ["calibrate", "blurred.png", "--method=gyro", "--gyro=blurred.png", "--focal=1", "--start=0", "--exposure=1"],
         ["calibrate", ".", "--method", "gyro"],
-        ["deblur", "blurred.png"],
         ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--psf", "psf.npy"],
         ["deblur", "blurred.png", "--psf", "psf.npy", "--code", "1011"],
         ["deblur", "blurred.png", "--psf", "psf.npy"],

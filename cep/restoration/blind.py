@@ -1,0 +1,75 @@
+"""The PSF of a photo, found in the photo alone.
+
+A coded photo's own kernel restores better than the PSF of a path that is fitted to it along the code: one photo seldom
+tells the order in time, and a wrong order has a wrong PSF (docs/decisions/restoration.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.optics.code import ShutterCode
+from motdiff.crops import luminance
+
+__all__ = ["FoundPsf", "find_psf"]
+
+FloatArray = NDArray[np.float64]
+_FULL = 0.95  # dim photos are brightened for the search up to this
+_LOST = 0.5
+_OF_THE_PATH = ("the path found", "the blind estimate")  # warnings for those who want a path
+
+
+@dataclass(frozen=True)
+class FoundPsf:
+    """A PSF that was found in a photo.
+
+    Attributes
+    ----------
+    psf : (S, S) float ndarray
+        Light-true, zero displacement at index ``S // 2``.
+    confidence : float
+        Probability that it is near the true one (MNC of 0.7 or more).
+    warnings : tuple of str
+    """
+
+    psf: FloatArray
+    confidence: float
+    warnings: tuple[str, ...]
+
+
+def find_psf(
+    photo: ArrayLike, code: ShutterCode | None = None, *, progress: Callable[[float], None] | None = None
+) -> FoundPsf:
+    """Find the PSF of a photo blindly; of the code it needs the open share of the time.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    code : ShutterCode, optional
+        Of the exposure; the open shutter when omitted.
+    progress : callable, optional
+        Called with the finished share 0..1.
+
+    Raises
+    ------
+    ValueError
+        If the photo is malformed, too small or without texture.
+    """
+    from motdiff.estimators.pmp import PmpEstimator
+
+    grey = luminance(photo)
+    duty = 1.0 if code is None else code.duty
+    brighter = max(1.0, min(1 / duty, _FULL / max(float(grey.max(initial=0.0)), 1e-6)))
+    found = PmpEstimator(progress=progress).estimate(brighter * grey)
+    warnings = [line for line in found.warnings if not line.startswith(_OF_THE_PATH)]
+    if found.confidence < _LOST:
+        warnings.insert(
+            0,
+            f"the PSF is probably lost (confidence {found.confidence:.2f}), and the restored photo may be worse than "
+            "the one given: calibrate the motion, and give its trajectory",
+        )
+    return FoundPsf(duty * found.psf, found.confidence, tuple(warnings))
