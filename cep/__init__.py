@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from cep.workflows.calibrate import estimate_motion
     from cep.workflows.compare import compare
     from cep.workflows.optimize import optimize
+    from cep.workflows.refine import refine_motion
     from cep.workflows.shutter import open_shutter
     from hw.device import DeviceProfile
     from motdiff.trajectory import Trajectory
@@ -64,6 +65,7 @@ __all__ = [
     "open_shutter",
     "optimize",
     "read_image",
+    "refine_motion",
     "restore",
     "verify",
     "write_image",
@@ -89,6 +91,7 @@ _MODULES = {
     "open_shutter": "cep.workflows.shutter",
     "optimize": "cep.workflows.optimize",
     "read_image": "cep.io.images",
+    "refine_motion": "cep.workflows.refine",
     "restore": "cep.restoration.methods",
     "verify": "cep.proofs.verify.certificates",
     "write_image": "cep.io.images",

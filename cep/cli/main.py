@@ -20,6 +20,7 @@ from cep.cli import (
     hardware,
     optimize,
     pareto,
+    refine,
     simulate,
 )
 from cep.cli.commands import Command, Group
@@ -67,6 +68,7 @@ def _root(
 
 app.command("calibrate")(calibrate.calibrate)
 app.command("calibration-set")(calibration_set.calibration_set)
+app.command("refine")(refine.refine)
 app.command("optimize")(optimize.optimize)
 app.command("pareto")(pareto.pareto)
 app.command("audit")(code.audit)

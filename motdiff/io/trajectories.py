@@ -14,7 +14,7 @@ from motdiff.io.inputs import one_line, read_json
 from motdiff.io.outputs import write_text
 from motdiff.trajectory import Direction, Trajectory
 
-__all__ = ["SCHEMA", "StoredMotion", "read_motion", "write_motion"]
+__all__ = ["SCHEMA", "StoredMotion", "read_motion", "stated_uncertainty_px", "write_motion"]
 
 SCHEMA = "cep.trajectory/1"
 _FARTHEST_PX = 1e5
@@ -94,6 +94,29 @@ def read_motion(path: Path | str) -> StoredMotion:
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         reason = f"field {error} is missing" if isinstance(error, KeyError) else str(error)
         raise ValueError(f"{path}: {one_line(reason)}") from None
+
+
+def stated_uncertainty_px(motion: StoredMotion, path: Path | str) -> float | None:
+    """Return the expected error of a stored motion, px rms over time; None where its source does not say.
+
+    Parameters
+    ----------
+    motion : StoredMotion
+    path : path of its file, for the error
+
+    Raises
+    ------
+    ValueError
+        If it is no number above 0.
+    """
+    stated = motion.source.get("path_uncertainty_px")
+    if stated is None:
+        return None
+    if not isinstance(stated, int | float) or isinstance(stated, bool) or not 0 < stated < _FARTHEST_PX:
+        raise ValueError(
+            f"{path}: source path_uncertainty_px must be a number of px above 0, got {one_line(repr(stated))}"
+        )
+    return float(stated)
 
 
 def _samples(trajectory: Trajectory) -> dict[str, list[float]]:

@@ -29,6 +29,7 @@ from motdiff.trajectory import Trajectory
 COMMANDS = (
     "calibrate",
     "calibration-set",
+    "refine",
     "optimize",
     "pareto",
     "audit",

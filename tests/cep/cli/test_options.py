@@ -17,6 +17,7 @@ GYRO = ["--method", "gyro", "--gyro", "gyro.csv", "--focal", "900", "--start", "
 FINE = {
     "calibrate": ["blurred.png", *GYRO],
     "calibration-set": ["--photos", "2", "--chips", "8"],
+    "refine": ["blurred.png", "--code", "1101000101101111", "--trajectory", "trajectory.json"],
     "optimize": ["--linear", "12", "--chips", "12", "--steps", "1000"],
     "pareto": ["--linear", "12", "--chips", "12", "--steps", "1000"],
     "audit": ["1011", "--linear", "9"],
@@ -126,7 +127,12 @@ def test_a_bad_number_is_refused_by_the_options_name(refused, command, option, k
         ("deblur", ["--method", "tv", "--photons", "9"], "--photons: not valid with --method tv"),
         ("deblur", ["--method", "x"], "--method"),
         ("simulate", ["--code", "10x"], "--code"),
-        *((command, ["--gamma", "nan"], "--gamma") for command in ("calibrate", "deblur", "simulate", "demo")),
+        ("refine", ["--code", "1101"], "--code: needs one for each photo, got 2 for 1 photos"),
+        ("refine", ["--uncertainty", "0"], "--uncertainty"),
+        *(
+            (command, ["--gamma", "nan"], "--gamma")
+            for command in ("calibrate", "deblur", "refine", "simulate", "demo")
+        ),
         ("calibrate", ["--method", "x"], "--method"),
         ("calibrate", ["--method", "pmp"], "--exposure: not valid with --method pmp"),
         ("calibrate", ["--method", "reference"], "--sharp: needed with --method reference"),

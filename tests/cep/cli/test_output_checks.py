@@ -20,6 +20,7 @@ FILES = {
     "mtf": ("mtf", "--linear", "8", "-o", "OUT.png"),
     "simulate": ("simulate", "sharp.png", "--linear", "8", "-o", "OUT.png"),
     "deblur": ("deblur", "blurred.png", "--trajectory", "trajectory.json", "-o", "OUT.png"),
+    "refine": ("refine", "blurred.png", "--code", "1101", "--trajectory", "trajectory.json", "-o", "OUT.json"),
     "export": ("export", "1011", "--format", "csv", "-o", "OUT.csv"),
     "upload": ("upload", "1011", "--port", "loop://", "-o", "OUT.json"),
     "hw verify": ("hw", "verify", "1011", "--vcd", "played.vcd", "--linear", "8", "-o", "OUT.json"),

@@ -52,6 +52,8 @@ print(json.dumps({"code": code, "shown": shown, "last": Terminal.text}))
         (("calibrate", "small.png"), "estimating the motion (motdiff)"),
         (("calibrate", "small"), "estimating the motion (motdiff)"),
         (("deblur", "blurred.png", "--trajectory", "trajectory.json", "-o", "out.txt"), "restoring"),
+        (("deblur", "blurred.png", "--code", "1101", "-o", "out.txt"), "restoring"),
+        (("refine", "small.png", "--code", "1101", "--trajectory", "nowhere.json"), "refining the motion"),
         (("demo", "--photo", "small.png"), "starting"),
         (("optimize", "--linear", "12", "--chips", "12", "--open", "13"), "searching"),
         (("optimize", "--each", "nowhere"), "searching"),
