@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 from cep.bench.blind.methods import UNUSUAL, label_of, select_methods
 from cep.bench.blind.protocol import Protocol
@@ -58,23 +59,10 @@ def blind_job(
     OSError
         If a file cannot be read.
     """
-    claim_folder(output, outputs("blind"), force=force)
-    names, plan = _plan(data, protocol, methods, gyro, quick)
-    title = f"Blind, {plan.protocol.name}"
-    command = _command("blind", data, protocol, methods, gyro, quick)
-
-    def run(progress: Callable[[float, str], None]) -> Part:
-        outcome = engine.run(plan.cells, progress=progress)
-        warnings = [*plan.warnings, *outcome_warnings(outcome)]
-        tables = blind_tables(outcome.figures, plan.lights, title=title, seed=plan.protocol.seed)
-        last = [name for name in CEILINGS[-1:] if any(cell.name[0] == name for cell in plan.cells)]
-        files = write_report(
-            output, "blind", tables, plan=plan, outcome=outcome, command=command, warnings=warnings,
-            pictured=(*names, *last), unmeasured={} if methods else UNUSUAL, force=force,
-        )  # fmt: skip
-        return _part(title, command, tables, files, outcome, warnings)
-
-    return Job({"folder": output, "protocol": plan.protocol, "methods": names}, run)
+    return _job(
+        "blind", "Blind, {protocol}", output, engine, data=data, protocol=protocol, methods=methods, gyro=gyro,
+        quick=quick, force=force, laid_out=_blind_tables,
+    )  # fmt: skip
 
 
 def speed_job(
@@ -92,21 +80,49 @@ def speed_job(
 
     Cells that run beside others take longer: the engine should have one worker and no cluster.
     """
-    claim_folder(output, outputs("speed"), force=force)
+    return _job(
+        "speed", "One estimate from a photo of {crop_px} px, {protocol}", output, engine, data=data, protocol=protocol,
+        methods=methods, gyro=gyro, quick=quick, force=force, laid_out=_speed_tables, narrowed=one_cell_each,
+    )  # fmt: skip
+
+
+_LaidOut = Callable[[Plan, Outcome, str], Sequence[Table]]
+
+
+def _blind_tables(plan: Plan, outcome: Outcome, title: str) -> Sequence[Table]:
+    return blind_tables(outcome.figures, plan.lights, title=title, seed=plan.protocol.seed)
+
+
+def _speed_tables(plan: Plan, outcome: Outcome, title: str) -> Sequence[Table]:
+    return speed_tables(outcome.figures, title=title, seed=plan.protocol.seed)
+
+
+def _job(
+    name: Literal["blind", "speed"], title: str, output: Path, engine: Engine, *, data: Path | None, protocol: str,
+    methods: Sequence[str], gyro: Path | None, quick: bool, force: bool, laid_out: _LaidOut,
+    narrowed: Callable[[Plan], Plan] = lambda plan: plan,
+) -> Job:  # fmt: skip
+    """Plan a table of estimators: :func:`blind_job`, with what its title and tables are and which cells it has."""
+    claim_folder(output, outputs(name), force=force)
     names, whole = _plan(data, protocol, methods, gyro, quick)
-    plan = one_cell_each(whole)
-    title = f"One estimate from a photo of {plan.protocol.crop_px} px, {plan.protocol.name}"
-    command = _command("speed", data, protocol, methods, gyro, quick)
+    plan = narrowed(whole)
+    headed = title.format(protocol=plan.protocol.name, crop_px=plan.protocol.crop_px)
+    command = _command(name, data, protocol, methods, gyro, quick)
 
     def run(progress: Callable[[float, str], None]) -> Part:
         outcome = engine.run(plan.cells, progress=progress)
         warnings = [*plan.warnings, *outcome_warnings(outcome)]
-        tables = speed_tables(outcome.figures, title=title, seed=plan.protocol.seed)
+        tables = laid_out(plan, outcome, headed)
+        last = [one for one in CEILINGS[-1:] if any(cell.name[0] == one for cell in plan.cells)]
         files = write_report(
-            output, "speed", tables, plan=plan, outcome=outcome, command=command, warnings=warnings,
-            unmeasured={} if methods else UNUSUAL, force=force,
+            output, name, tables, plan=plan, outcome=outcome, command=command, warnings=warnings,
+            pictured=(*names, *last) if name == "blind" else (), unmeasured={} if methods else UNUSUAL, force=force,
         )  # fmt: skip
-        return _part(title, command, tables, files, outcome, warnings)
+        return part_of_tables(
+            headed, command, tables, files,
+            failures={"/".join(cell): reason for cell, reason in outcome.failures.items()},
+            missing=outcome.missing, warnings=warnings, machines=outcome.machines,
+        )  # fmt: skip
 
     return Job({"folder": output, "protocol": plan.protocol, "methods": names}, run)
 
@@ -121,15 +137,6 @@ def _plan(
     names, warnings = select_methods(methods)
     plan = blind_plan(loaded, names, folder=data, trace=trace)
     return tuple(map(label_of, names)), replace(plan, warnings=(*warnings, *plan.warnings))
-
-
-def _part(
-    title: str, command: str, tables: Sequence[Table], files: dict[str, Path], outcome: Outcome, warnings: list[str]
-) -> Part:
-    return part_of_tables(
-        title, command, tables, files, failures={"/".join(name): reason for name, reason in outcome.failures.items()},
-        missing=outcome.missing, warnings=warnings, machines=outcome.machines,
-    )  # fmt: skip
 
 
 def _command(

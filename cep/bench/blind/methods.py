@@ -38,6 +38,7 @@ _FOLLOWED = {
 
 _TAKING = (
     "cep.bench.blind.work",
+    "cep.bench.psf_text",
     "cep.bench.blind.cases",
     "cep.bench.datasets",  # the crop
     "motdiff.simulate",

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.blind.cases import RealPhoto, make_case, real_pair
-from cep.bench.blind.work import measure_levin, measure_simulated, psf_from_text
+from cep.bench.blind.work import measure_levin, measure_simulated
+from cep.bench.psf_text import psf_from_text
 from cep.jobs.cells import Cell, Result
 from cep.plots.canvas import new_figure, show_inset, show_photo
 from motdiff.crops import luminance

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import base64
-import binascii
 import ctypes
 import gc
 import math
 import time
-import zlib
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
@@ -17,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.bench.blind.cases import RealPhoto, Shot, make_case, real_pair
+from cep.bench.psf_text import psf_from_text, psf_to_text
 from cep.jobs.cells import Figure
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
@@ -35,8 +33,6 @@ __all__ = [
     "measure_levin",
     "measure_real",
     "measure_simulated",
-    "psf_from_text",
-    "psf_to_text",
 ]
 
 
@@ -116,29 +112,6 @@ def measure_real(
             psnr_db, ssim = psnr_ssim_up_to_shift(image, grey, max_shift_px=_FARTHEST_PX)
             figures |= {"psnr_db": psnr_db, "ssim": ssim}
     return figures
-
-
-def psf_to_text(psf: FloatArray) -> str:
-    """Write a PSF (S, S) as one short line, to 16-bit floats."""
-    data = np.ascontiguousarray(psf, dtype="<f2").tobytes()
-    return f"{len(psf)}:{base64.b64encode(zlib.compress(data, 9)).decode()}"
-
-
-def psf_from_text(text: str) -> FloatArray:
-    """Read a text of :func:`psf_to_text` as a PSF of sum 1.
-
-    Raises
-    ------
-    ValueError
-        If it is something else.
-    """
-    size, _, rest = text.partition(":")
-    try:
-        data = np.frombuffer(zlib.decompress(base64.b64decode(rest, validate=True)), dtype="<f2")
-        psf = data.reshape(int(size), int(size)).astype(np.float64)
-    except (ValueError, binascii.Error, zlib.error):
-        raise ValueError(f"psf: must be a text of psf_to_text, got {text[:20]!r}") from None
-    return np.asarray(psf / psf.sum(), dtype=np.float64)
 
 
 @cache

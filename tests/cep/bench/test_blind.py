@@ -18,9 +18,8 @@ from cep.bench.blind.work import (
     measure_levin,
     measure_real,
     measure_simulated,
-    psf_from_text,
-    psf_to_text,
 )
+from cep.bench.psf_text import psf_from_text, psf_to_text
 from cep.io.images import read_image, write_image
 from cep.jobs import fingerprint
 from cep.jobs.fingerprint import source_version
