@@ -4,10 +4,10 @@
         [--motions walks arcs gyro] [--count 4] [--noise 0 0.005 0.02] [--moved 2] [--results order.jsonl]
         [--workers 2] [--seed 0]
 
-A set names the photos' codes: `open`; `grayN`, the N bit planes of a Gray code; `one`, Raskar's code; `half`, the first
-half open; bits, a published code's name or a file. Each photo shows one crop, moved by up to `--moved` px of its own,
-through the light-true PSF of its code, with Gauss noise of so much of full scale. The n-th motion is the same in every
-set and at every noise. What may differ from photo to photo beside: `--brightness`, `--scaled`, `--wobble`.
+A set names the photos' codes, as `codes_of_set` of cep/bench/coded/calibrations.py does; `one` is Raskar's code. Each
+photo shows one crop, moved by up to `--moved` px of its own, through the light-true PSF of its code, with Gauss noise
+of so much of full scale. The n-th motion is the same in every set and at every noise. What may differ from photo to
+photo beside: `--brightness`, `--scaled`, `--wobble`.
 
 `right`: the rms distance from the truth, at equal times after the best shift, is at most 1 px and smaller than that of
 the path run backwards; `any given`: one of the paths that the estimate gives is within 1 px. With
@@ -31,15 +31,15 @@ import numpy as np
 from _inputs import photos, smooth_trace
 from numpy.typing import NDArray
 
-from cep.codes.sources import load_codes
+from cep.bench.coded.calibrations import codes_of_set, moved_psfs
 from cep.io.images import read_image
 from motdiff.crops import luminance, pick_crops
-from motdiff.estimators.coded.codes import check_codes
 from motdiff.gyro import GyroTrace
 from motdiff.io.gyro_tables import read_gyro
+from motdiff.metrics import timed_distance_px
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.simulate import photograph
-from motdiff.trajectory import Trajectory, slice_psfs
+from motdiff.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]
 
@@ -66,24 +66,6 @@ class Case:
     seed: int
     photos: str
     gyro: str
-
-
-def codes_of(name: str, chips: int) -> tuple[str, ...]:
-    """Bits of the codes of a set, such as ``open+gray3``."""
-    sources: list[str] = []
-    for part in name.split("+"):
-        if part.startswith("gray") and part[4:].isdigit():
-            bits = int(part[4:])
-            number = np.arange(chips) * 2**bits // chips
-            number ^= number >> 1
-            sources += ["".join(str(bit) for bit in number >> place & 1) for place in reversed(range(bits))]
-        elif part == "half":
-            sources.append("1" * (chips // 2) + "0" * (chips - chips // 2))
-        else:
-            sources.append("raskar-52" if part == "one" else part)
-    codes = tuple(code.bits for code in load_codes(sources))
-    check_codes(codes)
-    return codes
 
 
 # -- motions and photos
@@ -150,34 +132,30 @@ def photos_of(case: Case) -> tuple[Trajectory, list[FloatArray]]:
     # what does not depend on the codes and the noise is drawn first: all sets are compared on the same
     rng = np.random.default_rng([case.seed, MOTIONS.index(case.motions), case.index])
     path, scene = motion_of(case, rng), scene_of(case, rng)
-    middle = 0.5 * (path.xy.min(axis=0) + path.xy.max(axis=0))
-    taken = []
-    for photo, code in enumerate(case.codes):
-        own = np.random.default_rng([case.seed, MOTIONS.index(case.motions), case.index, photo])
-        moved = own.uniform(-case.moved_px, case.moved_px, 2)
-        factor = 1 + own.uniform(-case.scaled, case.scaled)
-        light = np.exp(own.uniform(-case.brightness, case.brightness))
-        motion = wobbled(path, case.wobble_px, own) if case.wobble_px else path
-        xy = factor * (motion.xy - middle) + moved
-        frame = 2 * int(np.ceil(np.abs(xy).max())) + 3
-        chips = slice_psfs(motion.t, xy, np.linspace(0, 1, len(code) + 1), frame)
-        psf = light * chips[np.array(list(code)) == "1"].sum(axis=0)
-        margin = (2 * case.side_px - (case.side_px + frame - 1)) // 2
-        if margin < 0:
-            raise SystemExit(f"error: --side: {case.side_px} px do not hold a blur of {frame} px")
-        part = slice(margin, margin + case.side_px + frame - 1)
-        taken.append(photograph(scene[part, part], psf, rng=own, read_sigma=case.noise))
+    own = [
+        np.random.default_rng([case.seed, MOTIONS.index(case.motions), case.index, photo])
+        for photo in range(len(case.codes))
+    ]
+    shifts_px, motions, light = [], [], []
+    for rng in own:
+        shifts_px.append(rng.uniform(-case.moved_px, case.moved_px, 2))
+        factor = 1 + rng.uniform(-case.scaled, case.scaled)
+        light.append(np.exp(rng.uniform(-case.brightness, case.brightness)))
+        motions.append((wobbled(path, case.wobble_px, rng) if case.wobble_px else path).scaled(factor))
+    psfs = moved_psfs(motions, case.codes, shifts_px)
+    frame = psfs.shape[-1]
+    margin = (2 * case.side_px - (case.side_px + frame - 1)) // 2
+    if margin < 0:
+        raise SystemExit(f"error: --side: {case.side_px} px do not hold a blur of {frame} px")
+    part = slice(margin, margin + case.side_px + frame - 1)
+    taken = [
+        photograph(scene[part, part], level * psf, rng=rng, read_sigma=case.noise)
+        for psf, level, rng in zip(psfs, light, own, strict=True)
+    ]
     return path, taken
 
 
 # -- one case
-
-
-def apart_px(a: Trajectory, b: Trajectory) -> float:
-    """Rms distance at equal times, after the best shift."""
-    t = np.linspace(0, 1, 401)
-    apart = a.at(t) - b.at(t)
-    return float(np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
 def figures_of(case: Case) -> dict[str, object]:
@@ -192,9 +170,9 @@ def figures_of(case: Case) -> dict[str, object]:
         row = {"refused": str(refusal)}
     else:
         row = {
-            "error_px": apart_px(found.best, path),
-            "reversed_px": apart_px(found.best.reversed(), path),
-            "best_of_all_px": min(apart_px(one, path) for one in found.trajectories),
+            "error_px": timed_distance_px(found.best, path),
+            "reversed_px": timed_distance_px(found.best.reversed(), path),
+            "best_of_all_px": min(timed_distance_px(one, path) for one in found.trajectories),
             "confidence": found.confidence,
             "stated_px": found.details["path_uncertainty_px"],
             "misfit": found.details["misfit"],
@@ -324,7 +302,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     try:
-        sets = {name: codes_of(name, given.chips) for name in given.set}
+        sets = {name: codes_of_set(name.replace("one", "raskar-52"), given.chips) for name in given.set}
     except ValueError as refusal:
         parser.error(f"--set: {refusal}")
     cases = [

@@ -119,7 +119,12 @@ def tables_json(
             "title": table.title,
             "columns": [asdict(column) for column in table.columns],
             "rows": [
-                {"row": label, "cells": table.cells[label], "entries": [asdict(entry) for entry in entries]}
+                {
+                    "row": label,
+                    "cells": table.cells[label],
+                    "counts": {head: numbers[label] for head, numbers in table.counts.items()},
+                    "entries": [asdict(entry) for entry in entries],
+                }
                 for label, entries in table.rows.items()
             ],
         }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -88,17 +88,24 @@ class Table:
     columns : tuple of Column
     rows : mapping from the row's label to an Entry per column
     cells : mapping from the row's label to the number of its cells
+    counts : mapping from a heading to such a mapping
+        Numbers of different labels among the cells, such as motions.
     """
 
     title: str
     columns: tuple[Column, ...]
     rows: Mapping[str, tuple[Entry, ...]]
     cells: Mapping[str, int]
+    counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
     @property
     def head(self) -> tuple[str, ...]:
         """Headings of the columns."""
-        return ("", *(column.head for column in self.columns), "n")
+        return ("", *(column.head for column in self.columns), "n", *self.counts)
+
+    def sizes(self, label: str) -> tuple[int, ...]:
+        """Return how many cells a row has, and of :attr:`counts`."""
+        return (self.cells[label], *(numbers[label] for numbers in self.counts.values()))
 
     def lines(self, mark: tuple[str, str] = ("", "")) -> list[tuple[str, ...]]:
         """Lay out the rows: mean and its interval, and how many cells have the figure where some do not.
@@ -115,7 +122,7 @@ class Table:
                     _in_words(entry, column, self.cells[label], mark)
                     for entry, column in zip(entries, self.columns, strict=True)
                 ),
-                str(self.cells[label]),
+                *map(str, self.sizes(label)),
             )
             for label, entries in self.rows.items()
         ]
@@ -148,6 +155,7 @@ def tabulate(
     rng: np.random.Generator,
     row: int = 0,
     cluster: int | tuple[int, int] = 1,
+    counted: Mapping[str, int] | None = None,
     level: float = 0.95,
 ) -> Table:
     """Sum up figures by one label of the cells' names; cells whose other labels agree are pairs.
@@ -163,6 +171,8 @@ def tabulate(
         Which label is the row.
     cluster : int or (int, int)
         Label that dependent cells share, such as the photo. Two labels where every photo has the same motions.
+    counted : mapping from a heading to a label, optional
+        How many different ones a row's cells have is shown, such as motions.
     level : float
         Of the intervals and tests.
 
@@ -192,7 +202,12 @@ def tabulate(
         for label in labels:
             made[label].append(entries[label])
     rows = {label: tuple(entries_) for label, entries_ in made.items()}
-    return Table(title, tuple(columns), rows, {label: sum(name[row] == label for name in figures) for label in labels})
+    cells = {label: [name for name in figures if name[row] == label] for label in labels}
+    counts = {
+        head: {label: len({name[place] for name in names}) for label, names in cells.items()}
+        for head, place in (counted or {}).items()
+    }
+    return Table(title, tuple(columns), rows, {label: len(names) for label, names in cells.items()}, counts)
 
 
 def differences(figures: Figures, reference: str, *, row: int = 0) -> dict[Name, dict[str, Figure]]:

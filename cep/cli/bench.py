@@ -129,10 +129,22 @@ def cep(
     designs: Annotated[
         str,
         typer.Option(
-            "--designs", metavar="NAME,...", help="Ways to choose the code, as open,dnf,both-ways; all when omitted."
+            "--designs",
+            metavar="NAME,...",
+            help="Ways to choose the code, as open,dnf,both-ways; when omitted all but those that take long: "
+            "calibrated-1, calibrated-2, calibrated-4 (from so many coded photos), calibrated-point, class-snapshot.",
         ),
     ] = "",
     code: OwnCodes = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="FIELD=VALUE",
+            help="Another value of the protocol's field, as motions=20, photons=[10000,100000], read_noise_e=50 or "
+            "restored_by=blind; may be repeated.",
+        ),
+    ] = None,
     quick: Quick = False,
     workers: Workers = None,
     dask: Dask = None,
@@ -149,6 +161,8 @@ def cep(
     Example: cep bench cep --quick --protocol ours -o coded
 
     Example: cep bench cep --quick --designs open,both-ways --code my=101100111000
+
+    Example: cep bench cep --designs dce,oracle,calibrated-4 --set photos=2 --set motions=6
     """
 
     def plan() -> Job:
@@ -157,8 +171,8 @@ def cep(
 
         engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
         return cep_job(
-            output, engine, data=data, protocol=protocol, designs=_names(designs), codes=code or (), quick=quick,
-            force=force,
+            output, engine, data=data, protocol=protocol, designs=_names(designs), codes=code or (),
+            changes=changes or (), quick=quick, force=force,
         )  # fmt: skip
 
     run_job(plan, as_json=as_json)

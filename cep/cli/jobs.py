@@ -198,7 +198,7 @@ def show_tables(console: Console, tables: Sequence[Table | TextTable]) -> None:
             console.print(table(one.title, one.head, one.lines))
             console.print(one.note)
             continue
-        lines = [(label, *map(_shown, one.columns, entries), one.cells[label]) for label, entries in one.rows.items()]
+        lines = [(label, *map(_shown, one.columns, entries), *one.sizes(label)) for label, entries in one.rows.items()]
         console.print(table(one.title, one.head, lines, kept=1))
 
 

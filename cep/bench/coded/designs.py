@@ -18,7 +18,7 @@ from cep.search.recipe import search_code
 from cep.search.scenarios import Scenario, class_scenarios
 from motdiff.trajectory import Trajectory
 
-__all__ = ["DESIGNS", "Design", "MotionPrior", "design_code", "design_of"]
+__all__ = ["DESIGNS", "USUAL_DESIGNS", "Design", "MotionPrior", "design_code", "design_of"]
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,20 @@ class Design:
     ----------
     label : str
         For people.
-    path : {"none", "class", "length", "ours", "parametric", "parametric oracle", "true"}
-        Motion prior: none, other motions of the protocol's kind, the true length, an estimate, the best quadratic path
-        for the truth, or the truth.
+    path : str
+        Motion prior: "none"; "class", other motions of the protocol's kind; "length", the true one; "ours" or
+        "parametric", an estimate from an open photo; a kind of :mod:`cep.bench.coded.calibrations`, an estimate from
+        other photos; "parametric oracle", the best quadratic path for the truth; "true".
+    compared : bool
+        Whether a table has its differences from every other row.
+    only_named : bool
+        Whether it is measured only where it is asked for: its calibrations take long, or few need it.
     """
 
     label: str
     path: str
+    compared: bool = False
+    only_named: bool = False
 
     @property
     def uses_truth(self) -> bool:
@@ -51,20 +58,27 @@ DESIGNS: dict[str, Design] = {
     "raskar-52": Design("Raskar-52, published", "none"),
     "dnf": Design("DNF (length known, direction ignored)", "length"),
     "dce": Design("DCE (one learned code)", "none"),
-    "class": Design("class code (mean over such motions, no calibration)", "class"),
+    "class-snapshot": Design("snapshot, best for such motions (no calibration)", "class", only_named=True),
+    "class": Design("class code (mean over such motions, no calibration)", "class", compared=True),
     "parametric": Design("parametric (estimated quadratic path)", "parametric"),
     "parametric-oracle": Design("parametric oracle (best quadratic path)", "parametric oracle"),
     "one-way": Design("ours, one way (as the paper)", "ours"),
     "posterior": Design("ours, both ways, all alternatives", "ours"),
-    "both-ways": Design("ours, both ways", "ours"),
+    "both-ways": Design("ours, both ways", "ours", compared=True),
+    "calibrated-1": Design("ours, calibrated by one coded photo", "one coded", compared=True, only_named=True),
+    "calibrated-2": Design("ours, calibrated by open + one coded", "open + one", compared=True, only_named=True),
+    "calibrated-4": Design("ours, calibrated by open + three coded", "open + three", compared=True, only_named=True),
+    "calibrated-point": Design("ours, calibrated by a point light", "point", compared=True, only_named=True),
     "oracle": Design("oracle (true path)", "true"),
 }
 """Rows of the table, in its order."""
+USUAL_DESIGNS = tuple(name for name, design in DESIGNS.items() if not design.only_named)
+"""Those that are measured where none is named."""
 
 
 def design_of(name: str) -> Design:
     """Return the design of a row: one of :data:`DESIGNS`, or a code of the user's own, which has no motion prior."""
-    return DESIGNS.get(name) or Design(name, "none")
+    return DESIGNS.get(name) or Design(name, "none", compared=True)
 
 
 _RANDOM_CODES = 15
@@ -117,8 +131,8 @@ def design_code(
     if design not in DESIGNS:
         raise ValueError(f"design: must be one of {', '.join(DESIGNS)}, got {design!r}")
     problem = _problem(design, prior, chips=chips, open_range=open_range, objective=objective, camera=camera)
-    if design in ("snapshot", "strobe"):
-        best = (best_snapshot if design == "snapshot" else best_strobe)(Objective(problem, oversampling=8))
+    if design in ("snapshot", "class-snapshot", "strobe"):
+        best = (best_strobe if design == "strobe" else best_snapshot)(Objective(problem, oversampling=8))
         if best is None:
             raise ValueError(f"chips: a strobe needs at least 3, got {chips}")
         return best
@@ -138,13 +152,14 @@ def _problem(
     design: str, prior: MotionPrior, *, chips: int, open_range: tuple[int, int], objective: str, camera: Camera
 ) -> SearchProblem:
     kept = len(prior.paths) if design == "posterior" else 1
+    one_way = design == "one-way" or DESIGNS[design].path == "class"
     scenarios = (
         class_scenarios(prior.paths)
-        if design == "class"
+        if DESIGNS[design].path == "class"
         else tuple(
             Scenario(path, weight=weight)
             for path, weight in zip(prior.paths[:kept], prior.weights[:kept], strict=True)
-            if weight > 0  # an estimate may have a known direction
+            if weight > 0
         )
     )
     return SearchProblem(
@@ -152,7 +167,8 @@ def _problem(
         scenarios=scenarios,
         open_range=open_range,
         objective=objective,
-        direction="forward" if design in ("class", "one-way") or DESIGNS[design].uses_truth else "unknown",
-        rule="mean" if design in ("class", "posterior") else "worst",
+        # coded photos tell the direction: such an estimate has a known one
+        direction="forward" if one_way or DESIGNS[design].uses_truth else "auto",
+        rule="mean" if design == "posterior" or DESIGNS[design].path == "class" else "worst",
         camera=camera,
     )

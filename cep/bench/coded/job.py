@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from shlex import quote
 
 from cep.bench import datasets
-from cep.bench.coded.designs import DESIGNS
+from cep.bench.coded.calibrations import CALIBRATIONS
+from cep.bench.coded.designs import USUAL_DESIGNS, design_of
 from cep.bench.coded.protocol import CodedProtocol, coded_protocol
 from cep.bench.coded.report import OUTPUTS, write_coded_report
 from cep.bench.coded.run import measure_coded, scene_px
@@ -27,6 +29,7 @@ def cep_job(
     protocol: str,
     designs: Sequence[str],
     codes: Sequence[str] = (),
+    changes: Sequence[str] = (),
     quick: bool,
     force: bool,
 ) -> Job:
@@ -42,9 +45,11 @@ def cep_job(
     protocol : str
         As of :func:`cep.bench.coded.protocol.coded_protocol`.
     designs : sequence of str
-        Ways to choose the code; all when empty.
+        Ways to choose the code; when empty those of :data:`cep.bench.coded.designs.USUAL_DESIGNS`.
     codes : sequence of str
         Codes of the user's own, each ``NAME=SOURCE``.
+    changes : sequence of str
+        Of the protocol's fields, as of :func:`cep.bench.coded.protocol.coded_protocol`.
     quick : bool
         The protocol's small size.
     force : bool
@@ -59,21 +64,22 @@ def cep_job(
         If a file cannot be read.
     """
     claim_folder(output, OUTPUTS, force=force)
-    chosen = coded_protocol(protocol)
+    chosen = coded_protocol(protocol, changes)
     chosen = chosen.quick if quick else chosen
-    names = list(designs) or list(DESIGNS)
+    names = list(designs) or list(USUAL_DESIGNS)
     own = load_own_codes(codes)
-    photos, warnings = _photos(data, chosen)
+    photos, scenes, warnings = _photos(data, chosen, calibrates=any(design_of(n).path in CALIBRATIONS for n in names))
     given = {
-        "--data": data and data.resolve().name, "--protocol": Path(protocol).name, "--designs": ",".join(designs),
+        "--data": data and data.resolve().name, "--protocol": Path(protocol).name,
+        "--set": " --set ".join(map(quote, changes)), "--designs": ",".join(designs),
         "": spelled_own_codes(codes, own),
     }  # fmt: skip
     command = spelled("cep", given, quick=quick)
 
     def run(progress: Callable[[float, str], None]) -> Part:
         measured = measure_coded(
-            chosen, photos, cache=engine.cache, designs=names, codes=own, workers=engine.workers, dask=engine.dask,
-            progress=progress,
+            chosen, photos, cache=engine.cache, designs=names, codes=own, calibrated_on=scenes, workers=engine.workers,
+            dask=engine.dask, progress=progress,
         )  # fmt: skip
         all_warnings = [*warnings, *measured.warnings]
         if measured.failures:
@@ -95,8 +101,10 @@ def cep_job(
     return Job(about, run)
 
 
-def _photos(data: Path | None, protocol: CodedProtocol) -> tuple[dict[str, Path], list[str]]:
-    """Pick the sharp photos, and list in what they are not as the protocol asks."""
+def _photos(
+    data: Path | None, protocol: CodedProtocol, *, calibrates: bool
+) -> tuple[dict[str, Path], tuple[Path, ...], list[str]]:
+    """Pick the sharp photos and others to calibrate on, and list in what they are not as the protocol asks."""
     paths = datasets.bundled_photos() if data is None else datasets.photo_folder(data)
     picked = datasets.pick(paths, protocol.photos, least_px=scene_px(protocol))
     warnings = []
@@ -104,4 +112,17 @@ def _photos(data: Path | None, protocol: CodedProtocol) -> tuple[dict[str, Path]
         warnings.append(datasets.BUNDLED_WARNING)
     if len(picked) < protocol.photos:
         warnings.append(f"{len(picked)} photos are large enough, the protocol asks for {protocol.photos}")
-    return dict(zip(datasets.labels_of(picked), picked, strict=True)), warnings
+    scenes: tuple[Path, ...] = ()
+    if calibrates:
+        scenes = _others(paths, picked, protocol)
+        if not scenes:
+            warnings.append("no other photos are large enough to calibrate on: calibrations show those restored")
+    return dict(zip(datasets.labels_of(picked), picked, strict=True)), scenes, warnings
+
+
+def _others(paths: Sequence[Path], picked: Sequence[Path], protocol: CodedProtocol) -> tuple[Path, ...]:
+    rest = [path for path in paths if path not in picked]
+    try:
+        return datasets.pick(rest, protocol.motions, least_px=scene_px(protocol))
+    except ValueError:  # none is large enough
+        return ()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+import tomllib
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -34,7 +35,7 @@ _ALLOWED = {
     "borders": ("real", "symmetric"),
     "shakes": ("boracchi-foi", "mixed"),
     "objective": OBJECTIVES,
-    "restored_by": ("psf", "path", "estimate"),
+    "restored_by": ("psf", "path", "estimate", "blind"),
 }
 
 
@@ -73,9 +74,10 @@ class CodedProtocol:
     border_rounds : int
         Rounds in which the restoration extends the photo beyond its borders. A blur of 60 px needs dozens. A
         restoration of the user's own is not told.
-    restored_by : {"psf", "path", "estimate"}
-        Input of the restoration: the true coded PSF; the true path, of unknown direction; or the path that the code
-        was designed for, tried in both directions.
+    restored_by : {"psf", "path", "estimate", "blind"}
+        Input of the restoration: the true coded PSF; the true path, of unknown direction; the path that the code
+        was designed for, tried in both directions; or the kernel that PMP finds in the restored photo itself, as of a
+        motion that never repeats.
     steps : int
         Moves of every search.
     seed : int
@@ -99,7 +101,7 @@ class CodedProtocol:
     read_noise_e: float
     restoration: str
     border_rounds: int
-    restored_by: Literal["psf", "path", "estimate"]
+    restored_by: Literal["psf", "path", "estimate", "blind"]
     steps: int
     seed: int
     quick_photos: int
@@ -168,13 +170,24 @@ class CodedProtocol:
         return Camera(photons_full_scale=photons, read_noise_e=self.read_noise_e, bits=self.bits, black_level=pedestal)
 
 
-def coded_protocol(name: str) -> CodedProtocol:
+def coded_protocol(name: str, changes: Sequence[str] = ()) -> CodedProtocol:
     """Load a built-in protocol by name, or one's own by the path of its ``.toml`` file.
+
+    Parameters
+    ----------
+    name : str
+    changes : sequence of str
+        Fields with other values, each as in a protocol's file: ``motions=20``, ``photons=[10000]``.
 
     Raises
     ------
     ValueError
         If there is no such protocol, or a field is missing, unknown or out of range.
+
+    Examples
+    --------
+    >>> coded_protocol("ours", ["motions=20", "photons=[10000]"]).photons
+    (10000.0,)
     """
     if name.endswith(".toml"):
         path = Path(name)
@@ -189,10 +202,25 @@ def coded_protocol(name: str) -> CodedProtocol:
     for what, names in (("unknown", set(table) - known), ("missing", known - set(table))):
         if names:
             raise ValueError(f"{name}: field {min(names)[:40]!r} is {what}; the fields are {', '.join(sorted(known))}")
+    for change in changes:
+        table |= _change(change, known)
     try:
         return CodedProtocol(**table)
     except ValueError as error:
         raise ValueError(f"{name}: {one_line(error)}") from None
+
+
+def _change(text: str, known: Collection[str]) -> dict[str, Any]:
+    """Read a field and its value from a line of TOML; a bare word is a text."""
+    field, _, value = (part.strip() for part in text.partition("="))
+    if field not in known:
+        raise ValueError(f"set: must be FIELD=VALUE with one of {', '.join(sorted(known))}, got {text[:40]!r}")
+    try:
+        return {field: tomllib.loads(f"value = {value}")["value"]}
+    except tomllib.TOMLDecodeError:
+        if value and set(value).isdisjoint("\"'[]{}=\n"):
+            return {field: value}
+        raise ValueError(f"set: {field} needs a number, a text or a list as [1, 2], got {value[:40]!r}") from None
 
 
 def _are(values: object, *kinds: type) -> bool:

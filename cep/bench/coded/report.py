@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import mean, median
 from typing import TYPE_CHECKING
 
 from cep.bench.coded.designs import DESIGNS
@@ -14,6 +15,7 @@ from cep.bench.coded.tables import harmed, shots_csv
 from cep.bench.table_io import FIGURE_SUFFIXES, means_in_words, tables_csv, tables_json, tables_markdown, write_figure
 from cep.bench.tables import Table
 from cep.io.outputs import new_folder
+from cep.jobs.cells import Figure as Measured
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,8 +31,11 @@ _RESTORED_BY = {
     "codes it knows that too).",
     "estimate": ", which knows the path that the code was made for, but not in which direction the camera ran along it "
     "(the oracle's: the truth; codes made for none: our estimate).",
+    "blind": " with the kernel that the search of PMP finds in that photo alone.",
 }
-_PICTURED = ("both-ways", "parametric", "dce", "dnf", "snapshot", "open")
+_RIGHT_PX = 1.0
+_MNC = "kernel_mnc"
+_PICTURED = ("calibrated-4", "both-ways", "parametric", "dce", "dnf", "snapshot", "open")
 
 
 def write_coded_report(
@@ -101,15 +106,39 @@ def _light(protocol: CodedProtocol) -> str:
     return said + (", codes searched for each light level" if protocol.objective == "mse" else "")
 
 
+def _found(measured: CodedTable) -> list[str]:
+    """How good the estimates and calibrations are, a line for each kind."""
+    by_kind: dict[str, dict[tuple[str, int], Mapping[str, Measured]]] = {}
+    for (kind, photo, index), figures in measured.estimates.items():
+        if figures:  # a calibration is the same for all photos
+            by_kind.setdefault(kind, {})["" if "error_px" in figures else photo, index] = figures
+    lines = []
+    for kind, found in by_kind.items():
+        mncs, cpu_s = ([float(one[name] or 0) for one in found.values()] for name in ("mnc", "cpu_s"))
+        line = f"{len(found)} of mean MNC {mean(mncs):.3f}, {median(cpu_s):.1f} CPU-s each in the median"
+        if kind in ESTIMATORS:
+            lines.append(f"\nPaths estimated from an open photo by {ESTIMATORS[kind]}: {line}.")
+        else:
+            errors_px = [float(one["error_px"] or 0) for one in found.values()]
+            right = sum(error_px <= _RIGHT_PX for error_px in errors_px)
+            lines.append(
+                f"\nCalibrations, {kind}: {line}; {right} within {_RIGHT_PX:g} px of the truth at equal times, error "
+                f"{median(errors_px):.2f} px in the median."
+            )
+    for name in dict.fromkeys(shot.design for shot in measured.shots):
+        if mncs := [float(mnc) for shot in measured.shots if shot.design == name and (mnc := shot.figures.get(_MNC))]:
+            lines.append(f"\nKernels found in the photos themselves, {name}: {len(mncs)} of mean MNC {mean(mncs):.3f}.")
+    left_out = [name for name, design in DESIGNS.items() if design.only_named]
+    if not {shot.design for shot in measured.shots} & set(left_out):
+        lines.append(f"\nMeasured only where `--designs` names them: {', '.join(left_out)}.")
+    return lines
+
+
 def _introduction(measured: CodedTable, tables: Sequence[Table], command: str, warnings: Sequence[str]) -> str:
     protocol = measured.protocol
     photos = len({shot.photo for shot in measured.shots})
     own = list(dict.fromkeys(shot.design for shot in measured.shots if shot.design not in DESIGNS))
     counts = {name: harmed(measured, name) for name in ("both-ways", "one-way", *own)}
-    mncs = {
-        kind: [float(f["mnc"] or 0) for (k, _, _), f in measured.estimates.items() if k == kind and f]
-        for kind in ESTIMATORS
-    }
     machines = "; ".join(f"{m['processor']}, {m['cores']} cores, Python {m['python']}" for m in measured.machines)
     head = [
         "# The coded-exposure table",
@@ -127,11 +156,7 @@ def _introduction(measured: CodedTable, tables: Sequence[Table], command: str, w
         f"{means_in_words(tables)} PSNR and SSIM up to shift, 32 px of border left out. A noise gain is infinite where "
         "the MTF has a zero on a line, as an open shutter's has on straight motion.",
         *(f"\n- {warning}" for warning in warnings),
-        *(
-            f"\nMNC of the estimated path's PSF ({ESTIMATORS[kind]}): mean {sum(values) / len(values):.3f}."
-            for kind, values in mncs.items()
-            if values
-        ),
+        *_found(measured),
         *(
             f"\n{name}: noise gain in the worse direction above the open shutter's in {bad} of {count} photos."
             for name, (bad, count) in counts.items()

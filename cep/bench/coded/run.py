@@ -10,9 +10,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cep.bench.coded.designs import DESIGNS, MotionPrior, design_of
+from cep.bench.coded.calibrations import CALIBRATIONS, POINT, motion_from_codes, motion_from_light, set_of_codes
+from cep.bench.coded.designs import DESIGNS, USUAL_DESIGNS, MotionPrior, design_of
 from cep.bench.coded.protocol import CodedProtocol, class_motions, drawn_motions, paths_from, paths_to
-from cep.bench.coded.stages import choose_code, motion_of, photo_of
+from cep.bench.coded.stages import choose_code, kernel_of, motion_of, photo_of
 from cep.bench.datasets import Cut
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.engine import Outcome, run_cells
@@ -32,6 +33,7 @@ __all__ = [
     "assumed_path",
     "check_names",
     "code_version",
+    "kernel_version",
     "kinds_needed",
     "measure_coded",
     "motion_prior",
@@ -44,7 +46,9 @@ __all__ = [
 Say = Callable[[float, str], None]
 
 _NAME = re.compile(r"[\w.+-]+")
-_STAGES = {"motion": (0.0, 0.25), "code": (0.25, 0.65), "photo": (0.65, 1.0)}  # of the progress
+_STAGES = {  # of the progress
+    "set": (0.0, 0.01), "motion": (0.01, 0.25), "code": (0.25, 0.6), "kernel": (0.6, 0.65), "photo": (0.65, 1.0)
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Shot:
     motion : int
     photons : float or None
     figures : mapping
-        Of :func:`cep.bench.coded.stages.take_photo`.
+        Of :func:`cep.bench.coded.stages.take_photo`, and ``kernel_mnc`` where the kernel was found in the photo.
     bits : str
     arguments : mapping
         Arguments of :func:`cep.bench.coded.stages.photo_of`.
@@ -83,7 +87,7 @@ class CodedTable:
     shots : tuple of Shot
         In order of design, light, photo and motion; without the failed ones.
     estimates : mapping from (kind, photo, motion) to figures
-        Of :func:`cep.bench.coded.stages.estimate_motion`.
+        Of :func:`cep.bench.coded.stages.estimate_motion`, or of :mod:`cep.bench.coded.calibrations`.
     failures : mapping from a cell's label to its reason
     missing : int
         Cells not reached, after Ctrl-C.
@@ -105,8 +109,9 @@ def measure_coded(
     photos: Mapping[str, Path],
     *,
     cache: Path,
-    designs: Sequence[str] = tuple(DESIGNS),
+    designs: Sequence[str] = USUAL_DESIGNS,
     codes: Mapping[str, ShutterCode] | None = None,
+    calibrated_on: Sequence[Path] = (),
     workers: int = 1,
     dask: str | None = None,
     progress: Say = lambda _fraction, _note: None,
@@ -122,6 +127,9 @@ def measure_coded(
     designs : sequence of names of :data:`cep.bench.coded.designs.DESIGNS`
     codes : mapping from a name to a code, optional
         Codes of the user's own, which follow the designs; :func:`check_names` says what names they may have.
+    calibrated_on : sequence of Path
+        Photos whose most textured parts are shown by coded calibration photos: one for each motion in turn, for
+        all sharp photos alike. The sharp ones themselves when empty.
     workers, dask
         As :func:`cep.jobs.engine.run_cells` takes them.
     progress : callable
@@ -148,21 +156,20 @@ def measure_coded(
 
     rows = (*designs, *own)
     kinds = kinds_needed(protocol, rows)
-    versions = {kind: motion_version(ESTIMATORS[kind]) for kind in kinds}
+    sets = _sets(protocol, kinds, stages)
+    scenes = tuple(calibrated_on) or tuple(photos.values())
+    versions = {kind: motion_version(kind) for kind in kinds}
     cells = [
-        Cell(
-            ("motion", kind, photo, str(index)),
-            motion_of,
-            {
-                "photo": photos[photo], "cut": cuts[photo], "motion": motions[index], "method": ESTIMATORS[kind],
-                "borders": protocol.borders, "camera": protocol.calibration_camera.to_dict(),
-                "seed": _seed(protocol, photo, index),
-            },
-            version=versions[kind],
-        )
+        Cell(("motion", kind, photo, str(index)), work, arguments, version=versions[kind])
         for kind in kinds
+        if kind not in CALIBRATIONS or kind in sets
         for photo, index in keys
-    ]  # fmt: skip
+        for work, arguments in [
+            _from_open_photo(protocol, kind, photo, photos[photo], index, motions[index])
+            if kind in ESTIMATORS
+            else _from_other_photos(protocol, scenes[index % len(scenes)], sets.get(kind), index, motions[index])
+        ]
+    ]
     found = stages.run("motion", cells)
     estimates = {
         (kind, photo, index): found.get(("motion", kind, photo, str(index)), {})
@@ -171,7 +178,9 @@ def measure_coded(
     }
 
     versions = {design: code_version(design) for design in designs}
-    known = MotionPrior(kind := class_motions(protocol), (1 / len(kind),) * len(kind)) if "class" in designs else None
+    known = None
+    if any(DESIGNS[design].path == "class" for design in designs):
+        known = MotionPrior(others := class_motions(protocol), (1 / len(others),) * len(others))
     priors = {
         (design, photo, index): known
         if DESIGNS[design].path == "class"
@@ -203,41 +212,101 @@ def measure_coded(
         for level in protocol.levels
     }
 
-    version = photo_version(protocol.restoration)
-    cells = [
-        Cell(("photo", design, photo, str(index), str(level)), photo_of, arguments, version=version)
+    shots = [
+        (design, photo, index, level, bits)
         for design in rows
         for level in protocol.levels
         for photo, index in keys
         if (bits := chosen.get(("code", design, photo, str(index), str(level))))
-        and (assumed := assumed_path(protocol, design, truths[index], estimates, photo, index)) != ""
-        for arguments in [
+    ]
+    exposures = {
+        (design, photo, index, level): {
+            "photo": photos[photo],
+            "cut": cuts[photo],
+            "motion": motions[index],
+            "bits": bits,
+            "borders": protocol.borders,
+            "light_true": bool(protocol.photons),
+            "camera": protocol.camera(level).to_dict(),
+            "seed": _seed(protocol, photo, index),
+        }
+        for design, photo, index, level, bits in shots
+    }
+    kernels: Mapping[tuple[str, ...], Mapping[str, Figure]] = {}
+    if protocol.restored_by == "blind":
+        version = kernel_version()
+        cells = [
+            Cell(("kernel", design, photo, str(index), str(level)), kernel_of, arguments, version=version)
+            for (design, photo, index, level), arguments in exposures.items()
+        ]
+        kernels = stages.run("kernel", cells)
+
+    version = photo_version(protocol.restoration)
+    cells = [
+        Cell(("photo", *name), photo_of, arguments | how, version=version)
+        for (design, photo, index, level), arguments in exposures.items()
+        for name in [(design, photo, str(index), str(level))]
+        if protocol.restored_by != "blind" or ("kernel", *name) in kernels
+        if (assumed := assumed_path(protocol, design, truths[index], estimates, photo, index)) != ""
+        for how in [
             {
-                "photo": photos[photo],
-                "cut": cuts[photo],
-                "motion": motions[index],
                 "assumed": assumed,
-                "bits": bits,
-                "borders": protocol.borders,
-                "light_true": bool(protocol.photons),
+                "kernel": kernels[("kernel", *name)]["psf"] if kernels else None,
                 "restoration": protocol.restoration,
                 "border_rounds": protocol.border_rounds,
-                "camera": protocol.camera(level).to_dict(),
-                "seed": _seed(protocol, photo, index),
             }
         ]
     ]
     taken = stages.run("photo", cells)
     levels = {str(level): level for level in protocol.levels}
-    shots = tuple(
-        Shot(design, photo, int(index), levels[level], figures, cell.arguments["bits"], cell.arguments)
+    restored = tuple(
+        Shot(design, photo, int(index), levels[level], {**figures, **of_kernel}, cell.arguments["bits"], cell.arguments)
         for cell in cells
         for _, design, photo, index, level in [cell.name]
         if (figures := taken.get(cell.name))
+        for found in [kernels.get(("kernel", *cell.name[1:]))]
+        for of_kernel in [{"kernel_mnc": found["mnc"]} if found else {}]
     )
     return CodedTable(
-        protocol, shots, estimates, stages.failures, stages.missing, tuple(stages.warnings), stages.machines
+        protocol, restored, estimates, stages.failures, stages.missing, tuple(stages.warnings), stages.machines
     )
+
+
+_Task = tuple[Callable[..., Mapping[str, Figure]], Mapping[str, Any]]
+
+
+def _from_open_photo(protocol: CodedProtocol, kind: str, name: str, photo: Path, index: int, motion: str) -> _Task:
+    return motion_of, {
+        "photo": photo, "cut": _cut(protocol, name), "motion": motion, "method": ESTIMATORS[kind],
+        "borders": protocol.borders, "camera": protocol.calibration_camera.to_dict(),
+        "seed": _seed(protocol, name, index),
+    }  # fmt: skip
+
+
+def _from_other_photos(protocol: CodedProtocol, scene: Path, codes: str | None, index: int, motion: str) -> _Task:
+    """Calibrate by other photos than an open one of the scene: the same work for every photo, done once a motion."""
+    common = {
+        "motion": motion,
+        "camera": protocol.calibration_camera.to_dict(),
+        "seed": _seed(protocol, "calibration", index),
+    }
+    if codes is None:
+        return motion_from_light, common
+    return motion_from_codes, common | {
+        "photo": scene, "side_px": scene_px(protocol), "gamma": _gamma(protocol), "codes": codes,
+        "borders": protocol.borders, "light_true": bool(protocol.photons),
+    }  # fmt: skip
+
+
+def _sets(protocol: CodedProtocol, kinds: Sequence[str], stages: _Stages) -> Mapping[str, str]:
+    """Codes of each kind of calibration by coded photos; a kind whose set failed is left out."""
+    version = source_version(["cep.workflows.calibration_set"], alone=[_CALIBRATIONS])
+    cells = [
+        Cell(("set", kind), set_of_codes, {"name": CALIBRATIONS[kind], "chips": protocol.chips}, version=version)
+        for kind in kinds
+        if kind in CALIBRATIONS
+    ]
+    return {kind: str(figures["codes"]) for (_, kind), figures in stages.run("set", cells).items()}
 
 
 class _Stages:
@@ -286,8 +355,11 @@ def scene_px(protocol: CodedProtocol) -> int:
 
 
 def _cut(protocol: CodedProtocol, photo: str) -> Cut:
-    gamma: Literal["srgb", "linear"] = "srgb" if protocol.photons else "linear"  # the paper uses code values as light
-    return Cut(scene_px(protocol), gamma, (protocol.seed, 5, *photo.encode()))
+    return Cut(scene_px(protocol), _gamma(protocol), (protocol.seed, 5, *photo.encode()))
+
+
+def _gamma(protocol: CodedProtocol) -> Literal["srgb", "linear"]:
+    return "srgb" if protocol.photons else "linear"  # the paper uses code values as light
 
 
 def _designed_for(design: str, objective: str, level: float | None) -> float | None:
@@ -301,18 +373,18 @@ def _seed(protocol: CodedProtocol, photo: str, index: int) -> int:
 
 
 ESTIMATORS = {"ours": "motdiff", "parametric": "parametric"}
-"""Estimator behind each kind of estimated path."""
+"""Estimator behind each kind of path that is estimated from an open photo of the scene."""
 
 Estimates = Mapping[tuple[str, str, int], Mapping[str, Figure]]
 """Figures of each estimate by kind, photo and motion; empty where it failed."""
 
 
 def kinds_needed(protocol: CodedProtocol, designs: Sequence[str]) -> list[str]:
-    """List the kinds of :data:`ESTIMATORS` that designs or their restoration need."""
+    """List the kinds of estimates and calibrations that designs or their restoration need."""
     wanted = {design_of(name).path for name in designs}
     if protocol.restored_by == "estimate":
         wanted |= {_restored_by(name) for name in designs}
-    return [kind for kind in ESTIMATORS if kind in wanted]
+    return [kind for kind in (*ESTIMATORS, *CALIBRATIONS, POINT) if kind in wanted]
 
 
 def motion_prior(design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int) -> MotionPrior | None:
@@ -333,8 +405,8 @@ def motion_prior(design: str, truth: Trajectory, estimates: Estimates, photo: st
 def assumed_path(
     protocol: CodedProtocol, design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int
 ) -> str | None:
-    """Path given to the restoration; None when it has the true PSF, empty when the estimate failed."""
-    if protocol.restored_by == "psf" or design_of(design).path == "true":
+    """Path given to the restoration; None when it has the true PSF or a kernel, empty when the estimate failed."""
+    if protocol.restored_by in ("psf", "blind") or design_of(design).path == "true":
         return None
     if protocol.restored_by == "path":
         if design_of(design).uses_truth:
@@ -356,8 +428,10 @@ def _restored_by(design: str) -> str:
 _DENOISER = Path(__file__).parents[2] / "restoration" / "denoiser" / "denoiser.safetensors"
 _HERE = "cep.bench.coded"
 _PATHS = f"{_HERE}.protocol"
+_CALIBRATIONS = f"{_HERE}.calibrations"
 _EXPOSED = (
-    _PATHS, f"{_HERE}.stages", "cep.bench.datasets", "cep.io.images", "motdiff.io.decoding", "motdiff.crops",
+    _PATHS, f"{_HERE}.stages", "cep.bench.datasets", "cep.bench.psf_text", "cep.io.images", "motdiff.io.decoding",
+    "motdiff.crops",
 )  # fmt: skip
 """From the file to the photo."""
 _ESTIMATED: dict[str, tuple[str, Path]] = {
@@ -370,6 +444,7 @@ _SEARCHED = ("cep.search.annealing.anneal", _LIGHT, _PUBLISHED)  # searches star
 _CHOSEN = {
     "open": ("cep.optics.code",),
     "snapshot": (_LIGHT,),
+    "class-snapshot": (_LIGHT,),
     "strobe": (_LIGHT,),
     "random": (_LIGHT,),
     "raskar-52": (_PUBLISHED,),
@@ -378,11 +453,20 @@ _CHOSEN = {
 }
 
 
-def motion_version(method: str) -> str:
-    """Cache version of the motions: fingerprint of an estimator of :data:`cep.bench.coded.run.ESTIMATORS`."""
-    module, weights = _ESTIMATED[method]
-    used = [module, "motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
-    return source_version(used, alone=[*_EXPOSED, "motdiff.evaluation.methods"], files=[weights])
+def motion_version(kind: str) -> str:
+    """Cache version of the motions: fingerprint of what finds a kind of path, estimated or calibrated."""
+    shared = ["motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
+    if kind in ESTIMATORS:
+        module, weights = _ESTIMATED[ESTIMATORS[kind]]
+        return source_version([module, *shared], alone=[*_EXPOSED, "motdiff.evaluation.methods"], files=[weights])
+    module = "motdiff.estimators.point" if kind == POINT else "motdiff.estimators.coded.estimator"
+    return source_version([module, *shared], alone=[*_EXPOSED, _CALIBRATIONS])
+
+
+def kernel_version() -> str:
+    """Cache version of the kernels found in the photos themselves."""
+    used = ["motdiff.estimators.pmp", "motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
+    return source_version(used, alone=_EXPOSED)
 
 
 def code_version(design: str) -> str:

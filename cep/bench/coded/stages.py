@@ -16,6 +16,7 @@ from scipy import ndimage
 from cep.bench.coded.designs import MotionPrior, design_code
 from cep.bench.coded.protocol import paths_from, paths_to
 from cep.bench.datasets import Cut, sharp_scene
+from cep.bench.psf_text import psf_from_text, psf_to_text
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
@@ -24,15 +25,18 @@ from cep.proofs.measure import CodeMetrics, measure
 from cep.restoration import restore
 from cep.restoration.direction import detect_direction
 from motdiff.io.plugins import is_reference
-from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift
+from motdiff.metrics import laid_on, mnc_subpixel, psnr_ssim_up_to_shift
 from motdiff.psf_frame import PSF_PX, moved
 from motdiff.simulate import visible
+from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
 
 __all__ = [
     "Taken",
     "choose_code",
     "estimate_motion",
+    "find_kernel",
+    "kernel_of",
     "motion_of",
     "photo_of",
     "photographed",
@@ -43,12 +47,13 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 _ZERO = 1e-9
+_FULL, _DARKEST = 0.95, 1e-6  # a dark photo is brightened up to this, as the estimator of coded photos does
 _CROP_PX = 32  # left out of every comparison: restored borders lean on a guess
 
 
 def take_photo(
-    scene: ArrayLike, motion: str, assumed: str | None, *, bits: str, borders: str, light_true: bool, restoration: str,
-    border_rounds: int, camera: Mapping[str, Any], seed: int,
+    scene: ArrayLike, motion: str, assumed: str | None, *, kernel: str | None = None, bits: str, borders: str,
+    light_true: bool, restoration: str, border_rounds: int, camera: Mapping[str, Any], seed: int,
 ) -> dict[str, float]:  # fmt: skip
     """Take the coded photo along the true motion, restore it, and compare it with the scene.
 
@@ -59,6 +64,8 @@ def take_photo(
         True path.
     assumed : str or None
         Path given to the restoration, of unknown direction unless stated otherwise; None: the true PSF is given.
+    kernel : str, optional
+        Kernel given to the restoration instead, as of :func:`find_kernel`.
     bits : str
     borders : {"real", "symmetric"}
     light_true : bool
@@ -77,8 +84,8 @@ def take_photo(
     MTF has a zero), and ``min_mtf`` (light-true)
     """
     taken = photographed(
-        scene, motion, assumed, bits=bits, borders=borders, light_true=light_true, restoration=restoration,
-        border_rounds=border_rounds, camera=camera, seed=seed,
+        scene, motion, assumed, kernel=kernel, bits=bits, borders=borders, light_true=light_true,
+        restoration=restoration, border_rounds=border_rounds, camera=camera, seed=seed,
     )  # fmt: skip
     truth, code = paths_from(motion)[0][0], ShutterCode(bits)
     along, against = (measure(path, code, budget=0) for path in (truth, truth.reversed()))
@@ -109,31 +116,69 @@ class Taken:
 
 
 def photographed(
-    scene: ArrayLike, motion: str, assumed: str | None, *, bits: str, borders: str, light_true: bool, restoration: str,
-    border_rounds: int, camera: Mapping[str, Any], seed: int,
+    scene: ArrayLike, motion: str, assumed: str | None, *, kernel: str | None = None, bits: str, borders: str,
+    light_true: bool, restoration: str, border_rounds: int, camera: Mapping[str, Any], seed: int,
 ) -> Taken:  # fmt: skip
     """Take and restore the photo of :func:`take_photo`, whose parameters these are."""
     truth, code = paths_from(motion)[0][0], ShutterCode(bits)
     psf = coded_psf(truth, code, PSF_PX)
     scale = 1.0 if light_true else 1 / code.duty
     shown = np.asarray(scene, dtype=np.float64)
-    rng = np.random.default_rng([seed, 3])
     sensor = Camera.from_dict(camera)
-    photo = capture(shown, scale * psf, camera=sensor, rng=rng, borders=borders)
-    found = psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
-    # A photo does not determine the position of its scene: on a straight path a short exposure at the end has the PSF
-    # of one at the start, displaced. Restored with either, the scene has the same quality at another position.
-    away_px = _displacement_px(found, psf)
-    whole_px = np.round(away_px).astype(int)
-    used = scale * moved(found, down_px=whole_px[0], right_px=whole_px[1])
+    photo = _photo_through(shown, scale * psf, borders=borders, camera=sensor, seed=seed)
+    rest_px = np.zeros(2)
+    if kernel is not None:
+        used = scale * code.duty * laid_on(psf, psf_from_text(kernel))
+    else:
+        found = psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
+        # A photo does not determine the position of its scene: on a straight path a short exposure at the end has the
+        # PSF of one at the start, displaced. Restored with either, the scene has the same quality at another position.
+        away_px = _displacement_px(found, psf)
+        whole_px = np.round(away_px).astype(int)
+        used = scale * moved(found, down_px=whole_px[0], right_px=whole_px[1])
+        rest_px = whole_px - away_px
     options: dict[str, Any] = {} if is_reference(restoration) else {"border_rounds": border_rounds}
     if restoration == "wiener":
         options["camera"] = sensor
     restored = restore(photo, used, method=restoration, **options).image
-    if (rest_px := whole_px - away_px).any():
+    if rest_px.any():
         restored = ndimage.shift(restored, rest_px, order=5, mode="nearest")
     restored = np.clip(restored, 0, 1)
     return Taken(photo, psf, restored, visible(shown, PSF_PX, borders=borders))
+
+
+def _photo_through(scene: FloatArray, psf: FloatArray, *, borders: str, camera: Camera, seed: int) -> FloatArray:
+    return capture(scene, psf, camera=camera, rng=np.random.default_rng([seed, 3]), borders=borders)
+
+
+def find_kernel(
+    scene: ArrayLike, motion: str, *, bits: str, borders: str, light_true: bool, camera: Mapping[str, Any], seed: int
+) -> dict[str, float | str]:
+    """Find the kernel in the photo of :func:`take_photo`, whose parameters these are, from this photo alone.
+
+    Returns
+    -------
+    dict with ``psf`` of sum 1 (:func:`cep.bench.psf_text.psf_to_text`), ``mnc`` (sub-pixel), ``confidence``, ``cpu_s``
+    """
+    from motdiff.estimators.pmp import PmpEstimator
+
+    truth, code = paths_from(motion)[0][0], ShutterCode(bits)
+    psf = coded_psf(truth, code, PSF_PX)
+    light = code.duty if light_true else 1.0
+    photo = _photo_through(
+        np.asarray(scene, dtype=np.float64), light / code.duty * psf, borders=borders,
+        camera=Camera.from_dict(camera), seed=seed,
+    )  # fmt: skip
+    brightened = photo * max(1.0, min(1 / light, _FULL / max(float(photo.max()), _DARKEST)))
+    started = time.process_time()
+    with one_thread():
+        found = PmpEstimator().estimate(np.clip(brightened, 0, 1))
+    return {
+        "psf": psf_to_text(found.psf),
+        "mnc": mnc_subpixel(found.psf, psf),
+        "confidence": found.confidence,
+        "cpu_s": time.process_time() - started,
+    }
 
 
 def _displacement_px(psf: FloatArray, other: FloatArray) -> FloatArray:
@@ -202,6 +247,11 @@ def estimate_motion(
 def motion_of(photo: Path, cut: Cut, **arguments: Any) -> dict[str, float | str]:
     """Estimate a motion, as :func:`cep.bench.coded.stages.estimate_motion` does."""
     return estimate_motion(sharp_scene(photo, cut), **arguments)
+
+
+def kernel_of(photo: Path, cut: Cut, **arguments: Any) -> dict[str, float | str]:
+    """Find the kernel of a photo, as :func:`cep.bench.coded.stages.find_kernel` does."""
+    return find_kernel(sharp_scene(photo, cut), **arguments)
 
 
 def photo_of(photo: Path, cut: Cut, **arguments: Any) -> dict[str, float]:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cep.bench.coded.designs import DESIGNS, design_of
+from cep.bench.coded.designs import design_of
 from cep.bench.coded.run import CodedTable, Shot
 from cep.bench.tables import Column, Table, differences, tabulate
 from cep.jobs.cells import Figure
@@ -24,23 +24,18 @@ _GAIN = (  # infinite where an open shutter meets a straight motion
     Column("worse_noise_gain_db", "worse direction, dB, median", middle="median"),
 )
 _ZEROS = Column("zero", "zeros, share", middle="share")
-_FREE_LIGHT = ("snapshot", "strobe")
-_REFERENCE = "both-ways"
+_FREE_LIGHT = ("snapshot", "class-snapshot", "strobe")
 
 
-def coded_tables(measured: CodedTable, *, reference: str = _REFERENCE) -> list[Table]:
-    """Lay out the tables: per light level the quality, ours less each other row, and the noise gains.
+def coded_tables(measured: CodedTable) -> list[Table]:
+    """Lay out the tables: per light level the quality, each compared row less every other one, and the noise gains.
 
-    Parameters
-    ----------
-    measured : CodedTable
-    reference : str
-        Design that differences are taken from; left out where it was not measured.
+    Compared are ours and codes of the user's own: :attr:`cep.bench.coded.designs.Design.compared`.
     """
     tables = []
     for level in measured.protocol.levels:
         shots = [shot for shot in measured.shots if shot.photons == level]
-        designs = {shot.design for shot in shots}  # after Ctrl-C not the same at every level
+        designs = list(dict.fromkeys(shot.design for shot in shots))  # after Ctrl-C not the same at every level
         if not shots:
             continue
         figures = _figures(shots)
@@ -53,10 +48,9 @@ def coded_tables(measured: CodedTable, *, reference: str = _REFERENCE) -> list[T
             tables.append(_table(title, rivals, _QUALITY, measured))
         if limits:
             tables.append(_table(f"{title}: rows beyond comparison", limits, _PLAIN, measured))
-        if reference in designs and len(designs) > 1:
-            less = differences(figures, DESIGNS[reference].label)
-            title = f"{DESIGNS[reference].label} less each other row{light}"
-            tables.append(_table(title, less, _PLAIN, measured))
+        for label in (design_of(name).label for name in designs if design_of(name).compared and len(designs) > 1):
+            less = differences(figures, label)
+            tables.append(_table(f"{label} less each other row{light}", less, _PLAIN, measured))
         gains = (*_GAIN, _ZEROS) if any(own["zero"] for own in figures.values()) else _GAIN
         tables.append(_table(f"Noise gain of the codes along the true motion{light}", figures, gains, measured))
     return tables
@@ -92,7 +86,7 @@ def shots_csv(measured: CodedTable) -> str:
     """Lay out every photo as CSV."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    names = ("psnr_db", "ssim", "noise_gain_db", "reversed_noise_gain_db", "min_mtf")
+    names = ("psnr_db", "ssim", "noise_gain_db", "reversed_noise_gain_db", "min_mtf", "kernel_mnc")
     writer.writerow(("design", "photo", "motion", "photons", *names, "bits"))
     for shot in measured.shots:
         numbers = (shot.figures.get(name) for name in names)
@@ -125,7 +119,7 @@ def _table(
 ) -> Table:
     rng = np.random.default_rng([measured.protocol.seed, 4])
     # every photo is taken with the same motions: cluster by both
-    return tabulate(title, figures, columns, rng=rng, row=0, cluster=(1, 2))
+    return tabulate(title, figures, columns, rng=rng, row=0, cluster=(1, 2), counted={"motions": 2})
 
 
 def _worse(figures: Mapping[str, Figure]) -> float:

@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -15,22 +16,34 @@ from scipy import ndimage
 from skimage import data
 
 from cep.bench.coded import protocol
-from cep.bench.coded.designs import DESIGNS, MotionPrior, design_code
+from cep.bench.coded.calibrations import (
+    CALIBRATIONS,
+    POINT,
+    calibration_photos,
+    codes_of_set,
+    motion_from_light,
+    moved_psfs,
+)
+from cep.bench.coded.designs import DESIGNS, USUAL_DESIGNS, MotionPrior, design_code
 from cep.bench.coded.protocol import CodedProtocol, class_motions, coded_protocol, drawn_motions, paths_from, paths_to
 from cep.bench.coded.report import OUTPUTS, write_coded_report
 from cep.bench.coded.run import ESTIMATORS, CodedTable, Shot, code_version, measure_coded, motion_version, photo_version
 from cep.bench.coded.stages import estimate_motion, photographed, pictures_of, take_photo
 from cep.bench.coded.tables import coded_tables, harmed, shots_csv
+from cep.bench.datasets import sharp_scene
+from cep.bench.psf_text import psf_to_text
 from cep.codes.published import DCE_CODE, published
 from cep.io.images import write_image
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
 from cep.proofs.measure import measure
 from cep.restoration.wiener import wiener
 from cep.search import recipe
 from motdiff.estimators.base import MotionEstimate
 from motdiff.motions import boracchi_foi
-from motdiff.psf_frame import PSF_PX
+from motdiff.psf_frame import PSF_PX, centroid_px, moved
+from motdiff.simulate import visible
 from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
 
@@ -118,7 +131,7 @@ def test_a_protocol_of_ones_own_is_a_file(tmp_path):
         ({"restoration": "math:pi"}, "restoration: math:pi is no function"),
         ({"restoration": "math:no_such"}, "restoration: math:no_such: the module math has no 'no_such'"),
         ({"name": ""}, "name: must be a text"),
-        ({"restored_by": "luck"}, "restored_by: must be one of psf, path, estimate, got 'luck'"),
+        ({"restored_by": "luck"}, "restored_by: must be one of psf, path, estimate, blind, got 'luck'"),
         ({"open_range": [6]}, "open_range: must be two numbers"),
         ({"open_range": 6}, "open_range: must be two numbers"),
         ({"open_range": [10, 6]}, "open_range: must be two numbers"),
@@ -360,6 +373,7 @@ TOLD = {
     "class": MotionPrior((BENT, GUESS), (0.5, 0.5)),
     "length": MotionPrior(length_px=20.0),
     "ours": MotionPrior((BENT, GUESS), (0.75, 0.25)),
+    **dict.fromkeys((*CALIBRATIONS, POINT), MotionPrior((replace(BENT, direction="known"),), (1.0,))),
     "parametric": MotionPrior((PARAMETRIC,), (1.0,)),
     "parametric oracle": MotionPrior((PARAMETRIC,), (1.0,)),
     "true": MotionPrior((BENT,), (1.0,)),
@@ -381,7 +395,7 @@ def test_codes_keep_the_limits_that_are_theirs(design):
     code = chosen(design)
     if design == "open":
         assert code.bits == "1" * 16
-    elif design == "snapshot":
+    elif design in ("snapshot", "class-snapshot"):
         assert code.pulses == 1
     elif design == "strobe":
         assert code.pulses >= 2
@@ -409,11 +423,17 @@ def test_each_design_minimises_what_it_should():
     along = {code.bits: (gain(BENT, code), gain(BENT.reversed(), code)) for code in codes}
     limits = {"chips": 8, "open_range": (4, 4), "steps": 2000}
     known = MotionPrior((BENT,), (1.0,))
-    for design in ("one-way", "oracle", "parametric-oracle"):
-        assert along[chosen(design, known, **limits).bits][0] == pytest.approx(
+    ordered = MotionPrior((replace(BENT, direction="known"),), (1.0,))
+    for design, prior in [
+        ("one-way", known),
+        ("oracle", known),
+        ("parametric-oracle", known),
+        ("calibrated-4", ordered),
+    ]:
+        assert along[chosen(design, prior, **limits).bits][0] == pytest.approx(
             min(a for a, _ in along.values()), abs=0.05
         )
-    for design in ("both-ways", "parametric"):
+    for design in ("both-ways", "parametric", "calibrated-point"):  # a point light tells no direction
         found = along[chosen(design, known, **limits).bits]
         assert max(found) == pytest.approx(min(map(max, along.values())), abs=0.05)
     # a posterior weighs its paths: of a sure one nothing else is left
@@ -667,7 +687,7 @@ def test_a_changed_method_is_measured_again_alone(monkeypatch):
     assert before[1] != after[1]  # the denoiser's, with which a protocol may restore
     assert before[2] != after[2]
     assert set(ESTIMATORS.values()) == {"motdiff", "parametric"}
-    assert motion_version("motdiff") != motion_version("parametric")
+    assert motion_version("ours") != motion_version("parametric")
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
@@ -820,3 +840,191 @@ def test_a_class_code_is_searched_once(tmp_path, photos, monkeypatch):
     measured = measure_coded(TINY, photos, cache=tmp_path / "cells", designs=["class"])
     assert not measured.failures
     assert len({shot.bits for shot in measured.shots}) == 1
+
+
+# -- calibrations by other photos than an open one --------------------------------------------------------------------
+
+
+def test_photos_of_a_calibration_are_moved_by_their_own_shifts():
+    codes = codes_of_set("open+gray2", 8)
+    shifts_px = [[1.5, -0.5], [0.0, 0.0], [-2.0, 1.0]]
+    psfs = moved_psfs([BENT] * 3, codes, shifts_px)
+    assert psfs.sum(axis=(1, 2)) == pytest.approx([1.0, 0.5, 0.5])
+    still = moved_psfs([BENT] * 3, codes, np.zeros((3, 2)))
+    for psf, unmoved, shift_px in zip(psfs, still, shifts_px, strict=True):
+        centroids = [np.array(centroid_px(one))[::-1] for one in (psf, unmoved)]
+        np.testing.assert_allclose(centroids[0] - centroids[1], shift_px, atol=1e-9)
+
+
+def test_calibration_photos_have_their_codes_light():
+    dim = Camera(photons_full_scale=1e9, read_noise_e=0.0, bits=16)
+    options = {"camera": dim, "borders": "real"}
+    for light_true, light in ((True, 0.5), (False, 1.0)):
+        plain, coded = calibration_photos(
+            np.full((128, 128), 0.6), BENT, ["1" * 8, "11001010"], rng=np.random.default_rng(0), light_true=light_true,
+            **options,
+        )  # fmt: skip
+        assert plain.shape == coded.shape
+        assert coded.mean() / plain.mean() == pytest.approx(light, abs=1e-3)
+
+
+@pytest.mark.parametrize(("name", "message"), [("theirs", "'theirs' is no code"), ("open", "order cannot be known")])
+def test_a_set_that_tells_no_order_is_refused(name, message):
+    with pytest.raises(ValueError, match=message):
+        codes_of_set(name, 16)
+
+
+class Knowing:
+    """Stands in for the estimator of coded photos: it knows the path."""
+
+    made: ClassVar[list[tuple[str, ...]]] = []
+    path = Trajectory.straight(9.0)
+    stops = 0
+
+    def __init__(self, codes, *, seed):
+        self.codes = tuple(codes)
+
+    def estimate_from(self, photos):
+        assert len(photos) == len(self.codes)
+        self.made.append(self.codes)
+        if len(self.made) == self.stops:
+            raise KeyboardInterrupt
+        # its photos are light through its codes: the open one is the brightest
+        assert max(photos, key=np.mean) is photos[0]
+        known = replace(drawn_motions(CALIBRATED)[len(self.made) - 1], direction="known")
+        return MotionEstimate("coded", (known,), (1.0,), known.psf(64), 0.9)
+
+
+CALIBRATED = replace(
+    TINY, photons=(1e4,), objective="mse", borders="real", crop_px=96, restored_by="psf", restoration="wiener"
+)
+
+
+@pytest.fixture
+def knowing(monkeypatch):
+    monkeypatch.setattr("motdiff.estimators.coded.estimator.CodedEstimator", Knowing)
+    Knowing.made, Knowing.stops = [], 0
+    return Knowing
+
+
+@pytest.fixture
+def two_photos(tmp_path, coarse_walks):
+    for seed, name in enumerate(("a", "b")):
+        write_image(tmp_path / f"{name}.png", blocks(160, seed), gamma="linear")
+    return {name: tmp_path / f"{name}.png" for name in ("a", "b")}
+
+
+def test_calibrated_by_an_estimator_that_knows_the_path_a_row_is_the_true_paths(tmp_path, two_photos, knowing):
+    """Motions are calibrated once for all photos, and the code along the path found is that along the true one."""
+    measured = measure_coded(CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("oracle", "calibrated-4"))
+    assert measured.failures == {}
+    assert knowing.made == [codes_of_set("open+gray3", 16)] * 2
+    rows = {name: [shot for shot in measured.shots if shot.design == name] for name in ("oracle", "calibrated-4")}
+    assert [shot.bits for shot in rows["calibrated-4"]] == [shot.bits for shot in rows["oracle"]]
+    assert [shot.figures for shot in rows["calibrated-4"]] == [shot.figures for shot in rows["oracle"]]
+    assert all(figures["error_px"] < 1e-9 for (kind, *_), figures in measured.estimates.items())
+    quality, _, less, _ = coded_tables(measured)
+    assert less.rows[DESIGNS["oracle"].label][0].summary.mean == 0
+    assert quality.head[-2:] == ("n", "motions")
+    assert quality.lines()[0][-2:] == ("4", "2")
+    files = write_coded_report(tmp_path / "out", coded_tables(measured), measured, command="again", warnings=[])
+    assert "open + three: 2 of mean MNC 1.000" in files["cep.md"].read_text()
+
+
+def test_a_stopped_calibration_is_made_again_and_the_finished_one_kept(tmp_path, two_photos, knowing):
+    knowing.stops = 2
+    stopped = measure_coded(CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("calibrated-4",))
+    assert (stopped.missing > 0, stopped.shots) == (True, ())
+    knowing.made.pop()
+    knowing.stops = 0
+    whole = measure_coded(CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("calibrated-4",))
+    assert (whole.missing, len(whole.shots), len(knowing.made)) == (0, 4, 2)
+
+
+def test_calibrated_rows_are_measured_where_they_are_named():
+    assert not {name for name in USUAL_DESIGNS if name.startswith("calibrated")}
+    assert {"both-ways", "oracle", "class"} <= set(USUAL_DESIGNS)
+
+
+def test_a_point_light_shows_the_path_but_not_its_direction():
+    found = motion_from_light(motion=paths_to([BENT], [1.0]), camera=Camera().to_dict(), seed=0)
+    (path,), _ = paths_from(found["paths"])
+    assert path.direction == "unknown"
+    assert found["error_px"] < 1
+    assert found["mnc"] > 0.95
+
+
+# -- restored blind ---------------------------------------------------------------------------------------------------
+
+
+def test_restored_with_its_kernel_a_photo_is_as_with_its_psf():
+    psf = coded_psf(BENT, ShutterCode(LOPSIDED), PSF_PX)
+    away = moved(psf, down_px=7, right_px=-5)  # a blind kernel lies anywhere
+    for light_true in (True, False):
+        known, blind = (
+            take_photo(**shown(BENT, light_true=light_true, kernel=kernel))
+            for kernel in (None, psf_to_text(away / away.sum()))
+        )
+        assert blind["psnr_db"] == pytest.approx(known["psnr_db"], abs=0.02)
+
+
+class Finder:
+    """Stands in for the search of PMP: it keeps the photos and finds a dot."""
+
+    photos: ClassVar[list[np.ndarray]] = []
+
+    def estimate(self, photo):
+        self.photos.append(photo)
+        dot = np.zeros((64, 64))
+        dot[32, 32] = 1.0
+        return MotionEstimate("pmp", (BENT,), (1.0,), dot, 0.4)
+
+
+def test_kernels_are_searched_in_the_photos_that_are_restored(tmp_path, two_photos, monkeypatch):
+    monkeypatch.setattr("motdiff.estimators.pmp.PmpEstimator", Finder)
+    Finder.photos = []
+    blind = replace(CALIBRATED, restored_by="blind", motions=1, photos=1)
+    photos = {"a": two_photos["a"]}
+    own = {"mine": ShutterCode("1100101000110101")}
+    measured = measure_coded(blind, photos, cache=tmp_path / "cells", designs=("open", "oracle"), codes=own)
+    assert [shot.design for shot in measured.shots] == ["open", "oracle", "mine"]
+    for shot, searched in zip(measured.shots, Finder.photos, strict=True):
+        taken = pictures_of(**shot.arguments)
+        duty = ShutterCode(shot.bits).duty
+        level = searched.max() / taken.photo.max()
+        assert 1 <= level <= 1 / duty + 1e-9
+        np.testing.assert_allclose(searched, np.clip(level * taken.photo, 0, 1), atol=1e-12)
+        target = visible(sharp_scene(shot.arguments["photo"], shot.arguments["cut"]), PSF_PX)
+        assert taken.target.shape == target.shape
+        assert 0 < shot.figures["kernel_mnc"] < 1
+    titles = [table.title for table in coded_tables(measured)]
+    assert "mine less each other row, 10,000 photo-electrons" in titles
+
+
+# -- changed fields ---------------------------------------------------------------------------------------------------
+
+
+def test_fields_of_a_protocol_may_be_changed():
+    changed = coded_protocol("ours", ["motions=20", "photons=[10000, 1e5]", "restored_by=blind", "name='dim'"])
+    assert (changed.motions, changed.photons, changed.restored_by) == (20, (1e4, 1e5), "blind")
+    assert changed.name == "dim"
+    assert replace(changed, motions=9, photons=coded_protocol("ours").photons, restored_by="path", name="ours") == (
+        coded_protocol("ours")
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("codes=3", "set: must be FIELD=VALUE with one of bits, .*, got 'codes=3'"),
+        ("motions", "set: motions needs a number"),
+        ("motions=0", "motions: must be a whole number within 1..10000, got 0"),
+        ("motions=many", "motions: must be a whole number within 1..10000, got 'many'"),
+        ("photons=[1", r"set: photons needs a number, a text or a list as \[1, 2\], got '\[1'"),
+        ("motions=1\nphotos=2", "set: motions needs a number"),
+    ],
+)
+def test_a_change_that_is_none_is_one_line(change, message):
+    with pytest.raises(ValueError, match=message) as error:
+        coded_protocol("ours", [change])
+    assert "\n" not in str(error.value)

@@ -194,6 +194,9 @@ def notes():
     [
         (("--designs", "open,theirs"), None, "designs: must be among open, snapshot"),
         (("--designs", "open,open"), None, "designs: each must come once"),
+        (("--designs", "open,calibrated-3"), None, "designs: must be among open, snapshot"),
+        (("--set", "speed=3"), None, "--set: must be FIELD=VALUE with one of bits"),
+        (("--set", "motions=0"), None, "motions: must be a whole number within 1..10000"),
         (("--code", "dnf=1011"), None, "--code: dnf is the name of a built-in design"),
         (("--code", "a=1", "--code", "a=10"), None, "--code: every name must come once, a comes twice"),
         (("--code", "=1011"), None, "--code: a name must be of letters"),
