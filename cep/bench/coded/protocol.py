@@ -216,11 +216,12 @@ def _change(text: str, known: Collection[str]) -> dict[str, Any]:
     if field not in known:
         raise ValueError(f"set: must be FIELD=VALUE with one of {', '.join(sorted(known))}, got {text[:40]!r}")
     try:
-        return {field: tomllib.loads(f"value = {value}")["value"]}
+        read = {} if "\n" in value else tomllib.loads(f"{field} = {value}")
     except tomllib.TOMLDecodeError:
-        if value and set(value).isdisjoint("\"'[]{}=\n"):
-            return {field: value}
-        raise ValueError(f"set: {field} needs a number, a text or a list as [1, 2], got {value[:40]!r}") from None
+        read = {field: value} if value and set(value).isdisjoint("\"'[]{}=") else {}
+    if not read:
+        raise ValueError(f"set: {field} needs a number, a text or a list as [1, 2], got {value[:40]!r}")
+    return read
 
 
 def _are(values: object, *kinds: type) -> bool:
