@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cep.cli.console import finish, table
+from cep.cli.console import table
 from cep.workflows.search_options import Task, ending
 
 if TYPE_CHECKING:
@@ -14,38 +14,22 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from cep.cli.console import Tick
+    from cep.cli.search_run import SearchRun
     from cep.search.annealing.frames import FramesResult
     from cep.workflows.frames import FramesOptimum
-    from cep.workflows.optimize import Search
-    from hw.device import DeviceProfile
 
 __all__ = ["optimize_frames"]
 
 
-def optimize_frames(
-    task: Task,
-    how: Search,
-    frames: int,
-    tick: Tick,
-    *,
-    profile: DeviceProfile | None,
-    output: Path,
-    force: bool,
-    as_json: bool,
-) -> Callable[[], None]:
+def optimize_frames(task: Task, frames: int, run: SearchRun) -> Callable[[], None]:
     """Search and write the codes of several frames, beside the best single code played in every frame.
 
     Parameters
     ----------
     task : Task
-    how, frames
+    frames : int
         As of :func:`cep.workflows.frames.optimize_frames`.
-    tick : Tick
-    profile : DeviceProfile, optional
-        That must be able to play every code.
-    output, force, as_json
-        As the command's options.
+    run : SearchRun
 
     Returns
     -------
@@ -59,25 +43,24 @@ def optimize_frames(
     from functools import partial
 
     from cep.io.outputs import claim
-    from cep.search.playable import unplayable
     from cep.workflows.frames import optimize_frames as find_frames
     from cep.workflows.frames import write_frames
 
-    files = [output.with_name(f"{output.stem}_{number}{output.suffix}") for number in range(1, frames + 1)]
+    stem, suffix = run.output.stem, run.output.suffix
+    files = [run.output.with_name(f"{stem}_{number}{suffix}") for number in range(1, frames + 1)]
 
     def keep(found: FramesResult) -> None:
         """Write the codes before they are measured: Ctrl-C from here on must not lose them."""
-        for code in found.codes:
-            if reason := unplayable(code.bits, profile, code.chip_ns):
-                raise ValueError(reason)
+        run.check_playable(*found.codes)
         write_frames(files, found, described=task.described)
 
     best = find_frames(
-        task.problem, how, frames, progress=tick, on_checked=lambda: claim(files, force=force), on_found=keep
-    )
+        task.problem, run.how, frames, progress=run.tick, on_checked=lambda: claim(files, force=run.force),
+        on_found=keep,
+    )  # fmt: skip
     best.save(files, described=task.described)
-    result = {"files": files, **best.to_dict(), "seed": how.seed, "warnings": list(best.warnings)}
-    return partial(finish, result, as_json=as_json, show=partial(_show, best=best, files=files))
+    result = {"files": files, **best.to_dict(), "warnings": list(best.warnings)}
+    return run.shown(result, partial(_show, best=best, files=files))
 
 
 def _show(console: Console, *, best: FramesOptimum, files: Sequence[Path]) -> None:

@@ -35,7 +35,7 @@ from cep.cli.code_options import (
     chips_option,
 )  # fmt: skip
 from cep.cli.commands import in_options
-from cep.cli.console import finish, progress, table
+from cep.cli.console import progress, table
 from cep.cli.frames import optimize_frames
 from cep.cli.jobs import Cache, Dask, Workers, finish_folder, only_of_folders
 from cep.cli.optimize_class import All, ClassName, ClassSize, PathLength, optimize_class, refuse_with_class
@@ -53,6 +53,7 @@ from cep.cli.options import (
     load_motion,
     output_option,
 )
+from cep.cli.search_run import SearchRun
 from cep.workflows.search_options import SearchOptions, Task, ending, task_of
 
 if TYPE_CHECKING:
@@ -167,6 +168,7 @@ def optimize(
     - noise_gain_db: null above 100 dB, as of codes with a zero.
     - stopped: steps (all moves made), time, proven, complete (no other code keeps the limits), or interrupted (Ctrl-C).
     - within_limits, of each of baselines: whether it keeps the limits; the search could not return the others.
+    - verdict, with --all and --class: what to do and what it gains, in one or two sentences.
     - motions, mean_db, other_motions, others_db, with --all and --class: the mean of the objective's decibels over the
       motions of the search, and over motions drawn anew, null for a folder; behind_db and behind_error_db, of each of
       baselines: how much worse it is there, and the standard error.
@@ -194,7 +196,6 @@ def optimize(
         from cep.proofs.measure import find_figures
         from cep.search.exhaustive.exact import codes_to_count
         from cep.search.limits import RunLimits
-        from cep.search.playable import unplayable
         from cep.workflows.optimize import Search, searched_problem, stored_search
         from cep.workflows.optimize import optimize as find
         from hw.device import load_profile
@@ -211,6 +212,9 @@ def optimize(
         )  # fmt: skip
         profile = None if device is None else load_profile(device)
         light = load_camera(camera, photons=photons, read_noise=read_noise)
+        run = SearchRun(
+            how=how, profile=profile, output=output or Path("code.json"), force=force, as_json=as_json, tick=tick
+        )
         own = find_figures(figure or ())
         if own and frames > 1:
             raise ValueError("--figure: not valid with --frames, whose exposures are judged together")
@@ -239,11 +243,13 @@ def optimize(
                 },
             )  # fmt: skip
             only_of_folders("--each", workers, dask, cache)
-            show: Callable[[], None] = optimize_class(
-                wish, how, tick, folder=all_motions, motion_class=motion_class, length_px=length, count=motions,
-                camera=light, profile=profile, device=device, output=output or Path("code.json"), force=force,
-                as_json=as_json,
+            from cep.workflows.optimize_class import class_task
+
+            many = class_task(
+                wish, how, camera=light, profile=profile, folder=all_motions, kind=motion_class, length_px=length,
+                count=motions, device=device,
             )  # fmt: skip
+            show: Callable[[], None] = optimize_class(many, run)
         elif each is not None:
             if trajectory is not None or linear is not None or frames > 1:
                 raise ValueError(
@@ -269,27 +275,23 @@ def optimize(
             if trajectory is not None and trajectory.is_dir():
                 raise ValueError(f"{trajectory}: is a folder; --each FOLDER searches a code for each motion in it")
             wanted = task(load_motion(trajectory, linear), trajectory)
-            file = output or Path("code.json")
             if frames > 1:
-                show = optimize_frames(
-                    wanted, how, frames, tick, profile=profile, output=file, force=force, as_json=as_json
-                )
+                show = optimize_frames(wanted, frames, run)
             else:
-                claim([file], force=force, inputs=[] if trajectory is None else [trajectory])
+                claim([run.output], force=force, inputs=[] if trajectory is None else [trajectory])
 
                 def keep(code: ShutterCode, found: Found) -> None:
                     """Write the code before it is compared: Ctrl-C from here on must not lose it."""
-                    if reason := unplayable(code.bits, profile, chip_ns):
-                        raise ValueError(reason)
-                    write_code(file, StoredCode(code, problem=stored_search(wanted.described, found)))
+                    run.check_playable(code)
+                    write_code(run.output, StoredCode(code, problem=stored_search(wanted.described, found)))
 
                 tick(0.0, f"{codes_to_count(searched_problem(wanted.problem)):.2g} codes" if method == "exact" else "")
                 best = find(
                     wanted.problem, **asdict(how), along=wanted.along, figures=own, progress=tick, on_found=keep
                 )
-                best.save(file, described=wanted.described)
-                result = {"file": file, **best.to_dict(), "seed": seed, "warnings": list(best.warnings)}
-                show = partial(finish, result, as_json=as_json, show=partial(_show, best=best, file=file))
+                best.save(run.output, described=wanted.described)
+                result = {"file": run.output, **best.to_dict(), "warnings": list(best.warnings)}
+                show = run.shown(result, partial(_show, best=best, file=run.output))
     show()
 
 

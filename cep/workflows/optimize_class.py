@@ -11,15 +11,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.codes.published import PUBLISHED
 from cep.io.files import StoredCode, write_code
+from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
+from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Found
 from cep.search.scenarios import class_scenarios
+from cep.workflows.compare import as_designed
 from cep.workflows.optimize import Search, described_search, ended_early, search, stored_search
+from cep.workflows.optimize_folder import motions_in
+from cep.workflows.search_options import SearchOptions, problem_of
+from hw.device import DeviceProfile
 from motdiff.gyro import GyroTrace
+from motdiff.io.gyro_tables import read_gyro
+from motdiff.io.trajectories import StoredMotion, read_motion
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.trajectory import Trajectory
 
@@ -27,9 +36,12 @@ __all__ = [
     "CLASS_OBJECTIVES",
     "DRAWN",
     "OTHERS",
+    "WALKS",
     "ClassOptimum",
     "ClassRow",
+    "ClassTask",
     "check_class",
+    "class_task",
     "draw_motions",
     "optimize_class",
     "per_motion_db",
@@ -42,6 +54,12 @@ CLASS_OBJECTIVES = ("noise", "mse")
 DRAWN, OTHERS = 100, 300
 """Motions drawn to search a code on, and others to judge it by: docs/decisions/search.md."""
 
+WALKS = "walks"
+"""Class of simulated hand shakes; another class is named by a gyro recording."""
+
+_LENGTH_PX = 60.0
+_PUBLISHED = "published: "
+_STANDARD = "raskar-52"  # compared with where no published code has as many chips
 _TOLERANCE_PX = 0.01  # of the drawn paths: a walk of 2000 samples takes eight times as long
 _AT_ONCE = 32  # motions in memory while codes are judged
 _SEARCH_SHARE = 0.8  # of the time: judging takes the rest
@@ -57,6 +75,7 @@ class ClassRow:
     name : str
         "this code", or of a :class:`cep.search.recipe.Baseline`.
     code : ShutterCode
+        A published one may have another number of chips, with the exposure as long.
     within_limits : bool
     mean_db : float
         Mean of the objective's decibels over the motions of the search, lower is better.
@@ -75,10 +94,16 @@ class ClassRow:
     behind_db: float
     behind_error_db: float
 
+    @property
+    def label(self) -> str:
+        """The name, and whether the code breaks the limits, for tables."""
+        return self.name if self.within_limits else f"{self.name} (outside the limits)"
+
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON."""
         return {
             "bits": self.code.bits,
+            "chips": self.code.chips,
             "open": self.code.open_chips,
             "within_limits": self.within_limits,
             "mean_db": self.mean_db,
@@ -117,6 +142,32 @@ class ClassOptimum:
         return self.rows[0].code
 
     @property
+    def verdict(self) -> str:
+        """What to do, and what it gains over the best snapshot and over the best published code: one or two sentences.
+
+        Nothing is recommended that loses to a row of the table.
+        """
+        code, rivals = self.code, self.rows[1:]
+        where = f"in the mean over {self.others or self.motions} motions"
+        where += " that the search has not seen" if self.others else ""
+        better = min(rivals, key=lambda row: row.behind_db, default=None)
+        if better is not None and better.behind_db < 0:
+            why = f"{_amount(better)} better than the best code within the limits, {where}"
+            return f"Use {_in_words(better.code, better.name)} instead if you can: it is {why}. It breaks the limits."
+        gains = [
+            f"{_amount(best)} better than {_in_words(best.code, best.name)}"
+            for kind in ("best snapshot", _PUBLISHED)
+            for best in sorted((row for row in rivals if row.name.startswith(kind)), key=lambda row: row.behind_db)[:1]
+            if best.code.bits != code.bits
+        ]
+        said = f": {' and '.join(gains)}, {where}" if gains else ""
+        if code.pulses == 1:
+            return (
+                f"A short exposure is best, {_in_words(code, 'one opening')}{said}. No code that was found is better."
+            )
+        return f"Use this code{said}."
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What the user should know besides the figures, one sentence each."""
         few = (
@@ -130,6 +181,7 @@ class ClassOptimum:
         """Fields for JSON, as ``cep optimize --class --json`` prints them."""
         code, found, own = self.code, self.found, self.rows[0]
         return {
+            "verdict": self.verdict,
             "bits": code.bits,
             "chips": code.chips,
             "open": code.open_chips,
@@ -153,6 +205,104 @@ class ClassOptimum:
         about = stored_search(described or described_search(self.problem, self.how), self.found)
         figures = {"mean_db": own.mean_db, "others_db": own.others_db}
         write_code(path, StoredCode(self.code, {}, {**about, "motions": self.motions, **figures}, {}))
+
+
+@dataclass(frozen=True)
+class ClassTask:
+    """A search of one code for many motions.
+
+    Attributes
+    ----------
+    problem : SearchProblem
+        Of the rule "mean".
+    motions, others : tuple of Trajectory
+        Motions to search on, and others to judge by.
+    described : mapping
+        What the code file says of the problem.
+    """
+
+    problem: SearchProblem
+    motions: tuple[Trajectory, ...]
+    others: tuple[Trajectory, ...]
+    described: Mapping[str, Any]
+
+
+def class_task(
+    wish: SearchOptions,
+    how: Search,
+    *,
+    camera: Camera,
+    profile: DeviceProfile | None,
+    folder: Path | None = None,
+    kind: str | None = None,
+    length_px: float | None = None,
+    count: int | None = None,
+    device: str | None = None,
+) -> ClassTask:
+    """Make the search of the options for the motions of a folder, or for a class of drawn ones.
+
+    Parameters
+    ----------
+    wish, how, camera, profile
+        The options; ``wish.rule`` is the mean in any case.
+    folder : Path, optional
+        As ``cep calibrate FOLDER`` writes it.
+    kind : str, optional
+        Instead: :data:`WALKS` or a gyro recording.
+    length_px, count
+        Of the drawn motions; 60 px and :data:`DRAWN` when omitted.
+    device : str, optional
+        As it was given, for the code file.
+
+    Raises
+    ------
+    ValueError
+        If there are no motions, one cannot be read, or the options are malformed or conflict.
+    """
+    if how.method != "anneal":
+        raise ValueError("--method: a code for a class of motions needs anneal")
+    others: tuple[Trajectory, ...] = ()
+    drawn = None
+    if folder is not None:
+        if length_px is not None or count is not None:
+            raise ValueError(f"{'--motions' if length_px is None else '--length'}: needs --class")
+        read = (read_motion(path).trajectory for path in motions_in(folder).values())
+        motions = tuple(as_designed(path, wish.direction) for path in read)
+    else:
+        assert kind is not None
+        length_px = _LENGTH_PX if length_px is None else length_px
+        motions, others = _drawn(kind, length_px, wish.chips * wish.chip_ns * 1e-9, count or DRAWN, how.seed)
+        drawn = {"kind": kind, "length_px": length_px}
+    wish = replace(wish, objective=wish.objective or "mse", rule="mean", direction="forward")
+    rng = np.random.default_rng([how.seed, 2])
+    problem = problem_of(wish, StoredMotion(motions[0]), camera=camera, profile=profile, rng=rng)
+    problem = replace(problem, scenarios=class_scenarios(motions))
+    check_class(problem)
+    described = {
+        "folder": None if folder is None else str(folder), "class": drawn, "device": device,
+        **described_search(problem, how),
+    }  # fmt: skip
+    return ClassTask(problem, motions, others, described)
+
+
+def _drawn(
+    kind: str, length_px: float, exposure_s: float, count: int, seed: int
+) -> tuple[tuple[Trajectory, ...], tuple[Trajectory, ...]]:
+    if not 1 <= length_px <= 1000:
+        raise ValueError(f"--length: must lie within 1..1000 px, got {length_px:g}")
+    if kind != WALKS and not Path(kind).exists():
+        raise ValueError(f"--class: must be {WALKS} or a gyro recording, and there is no file {kind}")
+    gyro = None if kind == WALKS else read_gyro(kind)
+    made = []
+    for part, number in enumerate((count, OTHERS)):
+        rng = np.random.default_rng([seed, 4, part])
+        try:
+            made.append(draw_motions(number, length_px=length_px, rng=rng, gyro=gyro, exposure_s=exposure_s))
+        except ValueError as error:  # only a recording's
+            raise ValueError(
+                f"{kind}: {str(error).partition(': ')[2]}; the exposure is --chips times --chip-ns"
+            ) from None
+    return made[0], made[1]
 
 
 def draw_motions(
@@ -219,6 +369,8 @@ def optimize_class(
 ) -> ClassOptimum:
     """Search the code whose mean decibels over a class of motions are best, and judge it on others.
 
+    Where a code of the comparison that keeps the limits is better on the others, that one is returned.
+
     Parameters
     ----------
     motions : sequence of Trajectory
@@ -258,20 +410,24 @@ def optimize_class(
     )  # fmt: skip
     code = replace(found.code, chip_ns=problem.chip_ns)
     on_found(code, found)
-    known = {"this code": (code, True)} | {
-        one.name: (ShutterCode(one.code.bits, problem.chip_ns), one.within_limits) for one in found.baselines
-    }
-    codes = [one for one, _ in known.values()]
-    seen = per_motion_db(problem, motions, codes)
+    rivals = {one.name: (ShutterCode(one.code.bits, problem.chip_ns), one.within_limits) for one in found.baselines}
+    if problem.response is None and not any(name.startswith(_PUBLISHED) for name in rivals):
+        rivals[_PUBLISHED + _STANDARD] = (_standard_code(problem), False)
+    codes = [code, *(one for one, _ in rivals.values())]
+    seen = _judged(problem, motions, codes)
     progress(0.9, "judging on other motions" if others else "")
-    unseen = per_motion_db(problem, others, codes) if others else None
-    judged = seen if unseen is None else unseen
+    judged = _judged(problem, others, codes) if others else seen
+    means = judged.mean(axis=0)
+    kept = [0, *(index for index, (_, within) in enumerate(rivals.values(), 1) if within)]
+    best = min(kept, key=means.__getitem__)
+    order = [best, *range(1, len(codes))]
+    names = ["this code", *rivals]
     rows = tuple(
         ClassRow(
-            name, one, kept, float(seen[:, index].mean()), None if unseen is None else float(unseen[:, index].mean()),
-            *_mean_and_error(judged[:, index] - judged[:, 0]),
+            names[place], codes[index], place == 0 or rivals[names[place]][1], float(seen[:, index].mean()),
+            float(means[index]) if others else None, *_mean_and_error(judged[:, index] - judged[:, best]),
         )
-        for index, (name, (one, kept)) in enumerate(known.items())
+        for place, index in enumerate(order)
     )  # fmt: skip
     progress(1.0, "")
     return ClassOptimum(problem, how, found, rows, len(motions), len(others))
@@ -285,6 +441,41 @@ def per_motion_db(problem: SearchProblem, motions: Iterable[Trajectory], codes: 
         for path_costs in _each_db(problem, paths[start : start + _AT_ONCE], chips):
             costs.append(path_costs)
     return np.array(costs)
+
+
+def _judged(problem: SearchProblem, motions: Sequence[Trajectory], codes: Sequence[ShutterCode]) -> FloatArray:
+    """As :func:`per_motion_db`, of codes of any number of chips, all as long as the exposure."""
+    costs = np.empty((len(motions), len(codes)))
+    for chips in {code.chips for code in codes}:
+        places = [index for index, code in enumerate(codes) if code.chips == chips]
+        same = problem if chips == problem.chips else _with_chips(problem, chips)
+        costs[:, places] = per_motion_db(same, motions, [codes[index] for index in places])
+    return costs
+
+
+def _with_chips(problem: SearchProblem, chips: int) -> SearchProblem:
+    return replace(
+        problem, chips=chips, open_range=None, runs=RunLimits(), scenarios=(), response=None,
+        chip_ns=max(1, round(problem.chip_ns * problem.chips / chips)),
+    )  # fmt: skip
+
+
+def _standard_code(problem: SearchProblem) -> ShutterCode:
+    code = PUBLISHED[_STANDARD]
+    return replace(code, chip_ns=_with_chips(problem, code.chips).chip_ns)
+
+
+def _amount(row: ClassRow) -> str:
+    return f"{abs(row.behind_db):.2f} dB (standard error {row.behind_error_db:.2f})"
+
+
+def _in_words(code: ShutterCode, name: str) -> str:
+    if name.startswith(_PUBLISHED):
+        return f"the published code {name.removeprefix(_PUBLISHED)}"
+    if name == "random code, median":
+        return "a random code"
+    light = f"open for {code.open_chips} of {code.chips} chips"
+    return f"{name if name.startswith('one') else f'the {name}'} ({light})"
 
 
 def _each_db(problem: SearchProblem, paths: Sequence[Trajectory], chips: NDArray[np.int8]) -> list[FloatArray]:

@@ -1,0 +1,63 @@
+"""How ``cep optimize`` runs a search, and where its result goes: the same for one code, frames and classes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cep.cli.console import finish
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from cep.cli.console import Tick
+    from cep.optics.code import ShutterCode
+    from cep.workflows.optimize import Search
+    from hw.device import DeviceProfile
+
+__all__ = ["SearchRun"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchRun:
+    """Options of a search that do not change what is searched.
+
+    Parameters
+    ----------
+    how : Search
+    profile : DeviceProfile, optional
+        That must be able to play every code.
+    output : Path
+    force, as_json : bool
+        As the command's options.
+    tick : Tick
+    """
+
+    how: Search
+    profile: DeviceProfile | None
+    output: Path
+    force: bool
+    as_json: bool
+    tick: Tick
+
+    def check_playable(self, *codes: ShutterCode) -> None:
+        """Refuse codes that the device cannot play.
+
+        Raises
+        ------
+        ValueError
+            If it cannot play one.
+        """
+        from cep.search.playable import unplayable
+
+        for code in codes:
+            if reason := unplayable(code.bits, self.profile, code.chip_ns):
+                raise ValueError(reason)
+
+    def shown(self, result: Mapping[str, Any], show: Callable[[Console], None]) -> Callable[[], None]:
+        """Return the function that prints a result: by ``show`` for people, or as JSON with the seed."""
+        from functools import partial
+
+        return partial(finish, {**result, "seed": self.how.seed}, as_json=self.as_json, show=show)
