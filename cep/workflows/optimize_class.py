@@ -150,21 +150,22 @@ class ClassOptimum:
         code, rivals = self.code, self.rows[1:]
         where = f"in the mean over {self.others or self.motions} motions"
         where += " that the search has not seen" if self.others else ""
-        better = min(rivals, key=lambda row: row.behind_db, default=None)
-        if better is not None and better.behind_db < 0:
-            why = f"{_amount(better)} better than the best code within the limits, {where}"
-            return f"Use {_in_words(better.code, better.name)} instead if you can: it is {why}. It breaks the limits."
         gains = [
             f"{_amount(best)} better than {_in_words(best.code, best.name)}"
             for kind in ("best snapshot", _PUBLISHED)
             for best in sorted((row for row in rivals if row.name.startswith(kind)), key=lambda row: row.behind_db)[:1]
-            if best.code.bits != code.bits
+            if best.behind_db > 0
         ]
+        better = min(rivals, key=lambda row: row.behind_db, default=None)
+        if better is not None and better.behind_db < 0:
+            kept = f": {' and '.join(gains)}" if gains else ""
+            return (
+                f"Use {_in_words(better.code, better.name)} instead if the limits can be loosened: it is "
+                f"{_amount(better)} better than this code, {where}. Within the limits use this code{kept}."
+            )
         said = f": {' and '.join(gains)}, {where}" if gains else ""
         if code.pulses == 1:
-            return (
-                f"A short exposure is best, {_in_words(code, 'one opening')}{said}. No code that was found is better."
-            )
+            return f"A short exposure is best, {_in_words(code, 'one opening')}{said}. No code that was found beats it."
         return f"Use this code{said}."
 
     @property
