@@ -14,7 +14,7 @@ from motdiff.metrics import mnc_subpixel, register_shift
 from motdiff.psf_frame import PSF_PX, centred, in_frame
 from motdiff.tracing import trace_psf_to_trajectory
 
-__all__ = ["PointEstimator"]
+__all__ = ["PointEstimator", "background_light"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -122,7 +122,7 @@ def _snr(streak: _Streak) -> float:
 
 def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_Streak], int, int]:
     """Streaks found, and how many were too long for the frame or cut off by the border."""
-    background = _background(light, size)
+    background = background_light(light, size)
     above = light - background
     noise = float(1.4826 * np.median(np.abs(above - np.median(above))))
     noise = max(noise, 1e-6)
@@ -154,7 +154,7 @@ def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_St
     return found, too_long, cut_off
 
 
-def _background(light: FloatArray, size: int) -> FloatArray:
+def background_light(light: FloatArray, size: int) -> FloatArray:
     """Estimate the light behind the streaks: medians of blocks a few times the frame, joined smoothly."""
     block = 2 * size
     rows, columns = (np.array_split(np.arange(n), max(1, n // block)) for n in light.shape)

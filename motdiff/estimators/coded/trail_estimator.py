@@ -1,0 +1,184 @@
+"""Estimator for a small light's trails through known codes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from motdiff import crops
+from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.coded.codes import check_codes
+from motdiff.estimators.coded.search import FoundPath
+from motdiff.estimators.coded.trail_search import Trails, find_trail_paths
+from motdiff.estimators.point import background_light
+from motdiff.progress import Progress
+from motdiff.psf_frame import PSF_PX
+from motdiff.threads import one_thread_a_call
+from motdiff.trajectory import Trajectory
+
+__all__ = ["TrailEstimator"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_GAP_PX = 12  # a trail's parts lie no further apart: closed chips
+_MARGIN_PX = 7
+_MOST_PX = 160
+_LIT_SIGMA, _FOUND_SIGMA = 4.0, 12.0
+_LEAST_NOISE = 1 / 255 / np.sqrt(12)  # 8 bits round by that
+_MODEL_ERROR = 0.02  # of a pixel's light: the spot is no Gaussian, the pixels differ
+_MOST_CLIPPED = 0.2
+_MOST_PATHS = 3
+# on simulated motions: docs/decisions/motion-estimation.md
+_AGREED, _ALONE = 0.95, 0.3
+_ERROR_RATIO = 1.5
+
+
+class TrailEstimator:
+    """Find the motion that drew a small light's trail through a known code, with its order and direction in time.
+
+    The light, on a darker background and apart from others, is a Gaussian spot whose width is found. Each chip carries
+    the same light, so one path must explain every pixel of the trail. Paths are searched from random walks, coarse to
+    fine, until two searches end at one path.
+
+    ``confidence`` is the probability that the order is right: the share of simulated motions of which it was, where two
+    searches agreed or none did, less what other paths found explain as well. ``details`` are as those of
+    :class:`motdiff.estimators.coded.estimator.CodedEstimator`.
+
+    Parameters
+    ----------
+    codes : sequence of str
+        Bits of each photo's code, in the order of the photos; "1" throughout for an open shutter.
+    seed : int
+        Of the random starts.
+    progress : callable, optional
+        Called with the finished share 0..1.
+
+    Raises
+    ------
+    ValueError
+        As :func:`check_codes`.
+
+    References
+    ----------
+    Howie et al., "Submillisecond fireball timing using de Bruijn timecodes", Meteoritics & Planetary Science 52, 2017.
+    """
+
+    method = "point"
+
+    def __init__(self, codes: Sequence[str], *, seed: int = 0, progress: Callable[[float], None] | None = None) -> None:
+        check_codes(codes)
+        self._codes, self._seed, self._tell = tuple(codes), seed, progress
+
+    def estimate(self, photo: ArrayLike) -> MotionEstimate:
+        """Estimate the motion from one coded photo, (H, W) or (H, W, 3) float, linear light 0..1."""
+        return self.estimate_from([photo])
+
+    def estimate_from(self, photos: Sequence[ArrayLike]) -> MotionEstimate:
+        """Estimate the motion from as many photos as there are codes.
+
+        Parameters
+        ----------
+        photos : sequence of I (H, W) or (H, W, 3) array_like, linear light 0..1
+            Where the light is in them, and how bright, may differ.
+
+        Returns
+        -------
+        MotionEstimate with ``direction`` known; other explanations follow with their weights.
+
+        Raises
+        ------
+        ValueError
+            If the numbers of photos and codes differ, or a photo shows no light, or one that is cut off or saturated.
+        """
+        check_codes(self._codes, photos=len(photos))
+        with one_thread_a_call():
+            progress = Progress(self._tell)
+            progress.expect(1.0)
+            order = sorted(range(len(photos)), key=lambda i: -self._codes[i].count("1"))
+            cut = []
+            for i in order:
+                try:
+                    cut.append(_trail(photos[i]))
+                except ValueError as error:
+                    raise ValueError(f"photo {i + 1}: {error}" if len(photos) > 1 else f"photo: {error}") from None
+            trails = Trails(
+                codes=tuple(self._codes[i] for i in order),
+                images=tuple(image for image, _ in cut),
+                sigmas=tuple(sigma for _, sigma in cut),
+            )
+            found, times = find_trail_paths(trails, rng=np.random.default_rng(self._seed), progress=progress)
+            estimate = _described(found, times)
+            progress.finish()
+            return estimate
+
+
+def _trail(photo: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Trail of the brightest light without the background, and the standard deviation of each pixel."""
+    light = crops.luminance(photo)
+    above = light - background_light(light, PSF_PX)
+    above = above - np.median(above)
+    noise = max(float(1.4826 * np.median(np.abs(above))), _LEAST_NOISE)
+    lit = ndimage.uniform_filter(above, 3) > _LIT_SIGMA * noise / 3
+    joined = ndimage.binary_dilation(lit, iterations=_GAP_PX // 2)
+    labels, count = ndimage.label(joined)
+    if not count or above[lit].max() < _FOUND_SIGMA * noise:
+        raise ValueError("shows no light above its background")
+    brightest = 1 + int(np.argmax(ndimage.sum_labels(np.where(lit, above, 0), labels, np.arange(1, count + 1))))
+    own = lit & (labels == brightest)
+    rows, columns = (np.flatnonzero(own.any(axis=axis)) for axis in (1, 0))
+    height, width = light.shape
+    if rows[0] == 0 or columns[0] == 0 or rows[-1] == height - 1 or columns[-1] == width - 1:
+        raise ValueError("the light's trail is cut off by the border")
+    if max(np.ptp(rows), np.ptp(columns)) > _MOST_PX:
+        raise ValueError(f"the light's trail is longer than {_MOST_PX} px; give the photo at a smaller size")
+    clipped = crops.clipped_mask(photo)
+    if clipped[own].mean() > _MOST_CLIPPED:
+        raise ValueError("the light is saturated on its trail; expose less or dim the light")
+    part = tuple(
+        slice(max(0, at[0] - _MARGIN_PX), min(n, at[-1] + _MARGIN_PX + 1))
+        for at, n in ((rows, height), (columns, width))
+    )
+    image = above[part]
+    sigma = np.sqrt(noise**2 + (_MODEL_ERROR * np.maximum(image, 0)) ** 2)
+    others = ndimage.binary_dilation(lit & ~own, iterations=3)[part]
+    sigma[others | clipped[part]] = np.inf
+    return np.where(others, 0.0, image), sigma
+
+
+def _described(found: Sequence[FoundPath], times: int) -> MotionEstimate:
+    best, others = found[0], found[1:_MOST_PATHS]
+    excess = np.array([0.5 * (other.cost - best.cost) / max(1.0, best.misfit) for other in found[1:]])
+    likely = np.exp(-np.minimum(excess, 700))
+    probability = float((_AGREED if times > 1 else _ALONE) / (1 + likely.sum()))
+    weights: tuple[float, ...] = (1.0,)
+    if others:
+        share = np.maximum(likely[: len(others)], 1e-9)
+        rest = np.minimum((1 - probability) * share / share.sum(), probability)  # the best one stays the likeliest
+        weights = tuple(float(weight) for weight in np.array([probability, *rest]) / (probability + rest.sum()))
+    trajectories = tuple(Trajectory.from_samples(path.path, direction="known") for path in (best, *others))
+    deviation_px = _ERROR_RATIO * best.deviation_px
+    warnings = []
+    if probability < 0.5:
+        warnings.append(
+            f"the order in time is uncertain (confidence {probability:.2f}): take more photos of this motion through "
+            "other codes, as cep calibration-set designs them"
+        )
+    return MotionEstimate(
+        method="point",
+        trajectories=trajectories,
+        weights=weights,
+        psf=trajectories[0].psf(trajectories[0].frame_size(PSF_PX)),
+        confidence=probability,
+        warnings=tuple(warnings),
+        details={
+            "order_confidence": probability,
+            "path_uncertainty_px": float(np.sqrt((deviation_px**2).mean())),
+            "deviation_px": deviation_px.tolist(),
+            "misfit": best.misfit,
+            "searches_agreeing": times,
+        },
+    )

@@ -1,0 +1,342 @@
+"""Search for the path whose trails a small light drew through known codes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import ndimage, optimize
+from torch import Tensor
+
+from motdiff.estimators.coded.misfit import Roughness, Term, descend
+from motdiff.estimators.coded.search import FoundPath
+from motdiff.estimators.coded.starts import crossed, loop_reversals, orders
+from motdiff.estimators.coded.trail_term import TrailTerm, TrailUnknowns
+from motdiff.motions import boracchi_foi
+from motdiff.progress import Progress
+
+__all__ = ["Trails", "find_trail_paths", "run_by_light"]
+
+FloatArray = NDArray[np.float64]
+
+_LEAST_PIECES = 52
+_ROUGHNESS = 10.0  # second differences of 0.3 px at 53 knots
+_COARSE = ((4.0, 0.06), (2.5, 0.04), (1.5, 0.02), (1.0, 0.007))  # blur, px, and the error allowed, of the brightest
+_STARTS, _KEPT = 160, (80, 40, 20)
+_POPULATION, _PARENTS, _NEWCOMERS = 12, 6, 8
+_ROUNDS, _STILL, _IMPROVED = 40, 6, 0.98
+_REROUTED = 5
+_SEARCHES = 3
+_FOUND, _SAME_PX = 4, 0.3
+_WALK_PX = (20.0, 90.0)
+_LONGEST_PX = 160.0
+_TRACE_BLURS_PX, _FAINT, _TRACED_POINTS, _ORDERS = (0.7, 1.2, 2.0), 0.04, 161, 24
+_PIECE_PX, _MOST_PIECES, _EVEN = 0.5, 140, 0.05  # of a traced path whose light is measured; how even it is
+_SLIP, _SLIP_SPAN = 0.03, 0.15  # of time, where a path is run earlier or later
+
+
+@dataclass(frozen=True)
+class Trails:
+    """A small light's trails, that with the most light first.
+
+    Attributes
+    ----------
+    codes : tuple of I str
+    images : tuple of I (H, W) float
+        Without background; the middle of pixel ``(H // 2, W // 2)`` is the origin.
+    sigmas : tuple of I (H, W) float
+        Standard deviation of each pixel; infinite where it says nothing.
+    """
+
+    codes: tuple[str, ...]
+    images: tuple[FloatArray, ...]
+    sigmas: tuple[FloatArray, ...]
+
+
+def find_trail_paths(
+    trails: Trails, *, rng: np.random.Generator, progress: Progress | None = None, cost: float = 1.0
+) -> tuple[list[FoundPath], int]:
+    """Find the paths that explain the trails best.
+
+    Searches from random walks are repeated until two of them end at one path, which is then no chance.
+
+    Parameters
+    ----------
+    trails : Trails
+    rng : numpy Generator
+    progress : Progress, optional
+        Where the work done is reported; its plan holds ``cost`` for it already.
+    cost : float
+
+    Returns
+    -------
+    list of FoundPath, best first, and how many searches found the best one
+    """
+    told = progress or Progress()
+    search = _TrailSearch(trails, rng)
+    ends: list[tuple[Tensor, Tensor]] = []
+    times = 1
+    for done in range(_SEARCHES):
+        ends.append(search.evolved(search.begun()))
+        told.spend(cost / (_SEARCHES + 1))
+        x, costs = search.distinct(*(torch.cat(parts) for parts in zip(*ends, strict=True)), keep=_POPULATION)
+        times = sum(search.apart_px(x[:1], best[:1]) < _SAME_PX for best, _ in ends)
+        if times > 1:
+            told.spend(cost * (_SEARCHES - done) / (_SEARCHES + 1))
+            break
+    else:
+        x, costs = search.evolved(x)  # what one of them lacks, another may have
+        told.spend(cost / (_SEARCHES + 1))
+        times = max(1, sum(search.apart_px(x[:1], best[:1]) < _SAME_PX for best, _ in ends))
+    return search.described(x[:_FOUND], costs[:_FOUND]), times
+
+
+def run_by_light(path: FloatArray, image: FloatArray, is_open: FloatArray, *, width_px: float) -> FloatArray:
+    """Time a path by the light of its trail: each open moment carries as much.
+
+    Parameters
+    ----------
+    path : (N, 2) float, px
+        Points along it, in order; the origin is the middle of pixel ``(H // 2, W // 2)``.
+    image : (H, W) float, non-negative
+    is_open : (K - 1,) float
+        Of each of the pieces of time that the knots bound.
+    width_px : float
+        Standard deviation of the spot.
+
+    Returns
+    -------
+    (K, 2) float, px, at evenly spaced times
+    """
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    pieces = int(np.clip(arc[-1] / _PIECE_PX, 20, _MOST_PIECES))
+    edges = np.linspace(0, arc[-1], pieces + 1)
+    at = _along(path, arc, 0.5 * (edges[1:] + edges[:-1]))
+    down, across = (
+        np.exp(-0.5 * ((np.arange(n) - n // 2 - at[:, axis, None]) / width_px) ** 2)
+        for n, axis in zip(image.shape, (1, 0), strict=True)
+    )
+    shapes = (down[:, :, None] * across[:, None]).reshape(pieces, -1).T
+    even = _EVEN * np.linalg.norm(shapes, axis=0).mean() * np.diff(np.eye(pieces), axis=0)
+    matrix = shapes.T @ shapes + even.T @ even
+    factor = np.linalg.cholesky(matrix + 1e-6 * np.trace(matrix) / pieces * np.eye(pieces))
+    light, _ = optimize.nnls(factor.T, np.linalg.solve(factor, shapes.T @ image.ravel()))
+    # a little light everywhere, and at all times: where the shutter is closed the path goes on
+    seen = np.concatenate([[0.0], np.cumsum(light / max(light.sum(), 1e-12) + 1e-3 / pieces)])
+    shown = np.concatenate([[0.0], np.cumsum(is_open / is_open.sum() + 1e-3 / is_open.size)])
+    return _along(path, arc, np.interp(shown / shown[-1], seen / seen[-1], edges))
+
+
+def _along(path: FloatArray, arc: FloatArray, where: FloatArray) -> FloatArray:
+    return np.stack([np.interp(where, arc, path[:, axis]) for axis in (0, 1)], axis=1)
+
+
+class _TrailSearch:
+    def __init__(self, trails: Trails, rng: np.random.Generator) -> None:
+        self.trails, self.rng = trails, rng
+        chips = len(trails.codes[0])
+        self.unknowns = TrailUnknowns(chips * -(-_LEAST_PIECES // chips) + 1, len(trails.codes))
+        self.rough = Roughness(self.unknowns, _ROUGHNESS)
+        peak = [float(image.max()) for image in trails.images]
+        self.coarse = [
+            self._term(
+                [np.maximum(sigma, share * top) for sigma, top in zip(trails.sigmas, peak, strict=True)], blur_px
+            )
+            for blur_px, share in _COARSE
+        ]
+        self.fine = self._term(trails.sigmas, 0.0)
+        self.is_open = [
+            np.repeat([bit == "1" for bit in code], (self.unknowns.knots - 1) // chips).astype(np.float64)
+            for code in trails.codes
+        ]
+        self.light = [image.sum() / part.mean() for image, part in zip(trails.images, self.is_open, strict=True)]
+        self.moments = [_moments(image) for image in trails.images]
+        self.spot_px = min(_spot_px(image) for image in trails.images)
+        self.traced: list[FloatArray] | None = None
+
+    def _term(self, sigmas: Sequence[FloatArray], blur_px: float) -> TrailTerm:
+        return TrailTerm(self.unknowns, self.trails.codes, self.trails.images, sigmas, blur_px=blur_px)
+
+    def begun(self) -> Tensor:
+        """Paths from new random walks, fitted coarse to fine."""
+        x = self._pack(np.stack([*self._traced(), *(self._walk() for _ in range(_STARTS))]))
+        for term, keep in zip(self.coarse[:3], _KEPT, strict=True):
+            x, _ = self.distinct(*descend([term, self.rough], x, steps=6), keep=keep)
+        return x
+
+    def evolved(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Paths crossed with each other, their loops reversed and parts led another way, while it helps."""
+        best: list[Term] = [self.coarse[3], self.rough]
+        x, costs = self.distinct(*descend(best, x, steps=6), keep=_POPULATION)
+        still = 0
+        for _ in range(_ROUNDS):
+            new = self._pack(np.stack(self._children(x)))
+            new, _ = descend([self.coarse[1], self.rough], new, steps=2)
+            new, _ = self.distinct(*descend([self.coarse[2], self.rough], new, steps=4), keep=2 * _POPULATION)
+            new, reached = descend(best, new, steps=5)
+            before = float(costs[0])
+            x, costs = self.distinct(torch.cat([x, new]), torch.cat([costs, reached]), keep=_POPULATION)
+            still = 0 if float(costs[0]) < _IMPROVED * before else still + 1
+            if still == _STILL:
+                break
+        return self.distinct(*descend([self.fine, self.rough], x[:6], steps=20), keep=_FOUND)
+
+    def _traced(self) -> list[FloatArray]:
+        """Orders of the paths that are traced in the first photo, its gaps bridged by blur, run as its light tells."""
+        from motdiff.tracing import trace_psf_to_trajectory
+
+        if self.traced is not None:
+            return self.traced
+        self.traced = []
+        image = np.maximum(self.trails.images[0], 0)
+        centre = np.array([image.shape[1] // 2, image.shape[0] // 2])
+        for blur_px in _TRACE_BLURS_PX:
+            soft = ndimage.gaussian_filter(image, blur_px)
+            soft[soft < _FAINT * soft.max()] = 0
+            try:
+                traced = trace_psf_to_trajectory(soft)
+            except ValueError:  # a dot
+                continue
+            rows, columns = np.indices(soft.shape)
+            middle = np.array([(soft * columns).sum(), (soft * rows).sum()]) / soft.sum() - centre
+            self.traced += [
+                run_by_light(path + middle, image, self.is_open[0], width_px=self.spot_px + 0.3)
+                for path in orders(traced, knots=_TRACED_POINTS, most=_ORDERS)
+            ]
+        return self.traced
+
+    def _walk(self) -> FloatArray:
+        """Random walk (K, 2) whose trail has the centroid and the covariance of the first photo's."""
+        centre, spread = self.moments[0]
+        spread = spread - (self.spot_px**2 + 1 / 12 - 0.05) * np.eye(2)
+        values, axes = np.linalg.eigh(spread)
+        shape = axes @ np.diag(np.sqrt(np.maximum(values, 0.05)))
+        at = np.linspace(0, 1, self.unknowns.knots)
+        while True:
+            walk = boracchi_foi(self.rng, max_length_px=self.rng.uniform(*_WALK_PX), samples=500).at(at)
+            middle = 0.5 * (walk[1:] + walk[:-1])
+            mean = np.average(middle, axis=0, weights=self.is_open[0])
+            own = np.linalg.cholesky(np.cov((middle - mean).T, aweights=self.is_open[0]) + 1e-3 * np.eye(2))
+            turn, _ = np.linalg.qr(self.rng.standard_normal((2, 2)))
+            path = (shape @ turn @ np.linalg.solve(own, (walk - mean).T)).T + centre
+            if np.linalg.norm(np.diff(path, axis=0), axis=1).sum() < _LONGEST_PX:
+                return np.asarray(path, dtype=np.float64)
+
+    def _pack(self, paths: FloatArray) -> Tensor:
+        """Candidates of paths (B, K, 2), moved so that each trail has the centroid of its photo."""
+        middle = 0.5 * (paths[:, 1:] + paths[:, :-1])
+        shifts = np.stack([
+            centre - np.einsum("bsd,s->bd", middle, part / part.sum())
+            for (centre, _), part in zip(self.moments, self.is_open, strict=True)
+        ], axis=1)  # fmt: skip
+        paths = paths + shifts[:, :1]
+        count = len(paths)
+        return self.unknowns.pack_trails(
+            torch.tensor(paths, dtype=torch.float32),
+            torch.tensor(shifts - shifts[:, :1], dtype=torch.float32),
+            torch.tensor(self.light, dtype=torch.float32).expand(count, -1),
+            torch.full((count,), self.spot_px),
+        )
+
+    def _children(self, x: Tensor) -> list[FloatArray]:
+        paths = self.unknowns.paths(x).numpy().astype(np.float64)
+        children = [self._walk() for _ in range(_NEWCOMERS)]
+        for i, path in enumerate(paths[:_PARENTS]):
+            children += loop_reversals(path, most=5, rng=self.rng)
+            others = [paths[j] for j in range(len(paths)) if j != i]
+            children += [child for other in others if (child := crossed(path, other, rng=self.rng)) is not None]
+            children += [self._slipped(path), path[::-1]]
+            children += [self._rerouted(path) for _ in range(_REROUTED)]
+        return children
+
+    def _rerouted(self, path: FloatArray) -> FloatArray:
+        """Path with another, random way for a while, between the same places; an end may move."""
+        knots = len(path)
+        span = int(self.rng.integers(knots // 8, knots // 2))
+        start = int(self.rng.integers(-span // 2, knots - span // 2))
+        stop = start + span
+        at = np.arange(max(0, start), min(knots, stop + 1))
+        walk = self._walk()[at]
+        share = np.linspace(0, 1, len(at))[:, None]
+        first, last = path[at[0]] - walk[0], path[at[-1]] - walk[-1]
+        if start < 0:
+            first = last
+        elif stop >= knots:
+            last = first
+        changed = path.copy()
+        changed[at] = walk + (1 - share) * first + share * last
+        return changed
+
+    def _slipped(self, path: FloatArray) -> FloatArray:
+        """Path that runs earlier or later for a while."""
+        at = np.linspace(0, 1, len(path))
+        near = np.exp(-0.5 * ((at - self.rng.uniform()) / _SLIP_SPAN) ** 2)
+        when = np.clip(at + self.rng.normal(0, _SLIP) * near, 0, 1)
+        return np.stack([np.interp(when, at, path[:, axis]) for axis in (0, 1)], axis=1)
+
+    def apart_px(self, a: Tensor, b: Tensor) -> float:
+        """Rms distance between two candidates (1, N), px."""
+        apart = self.unknowns.paths(a) - self.unknowns.paths(b)
+        return float((apart - apart.mean(1, keepdim=True)).square().sum(2).mean().sqrt())
+
+    def distinct(self, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
+        """Best candidates, none near a better one."""
+        kept = list[int]()
+        for i in torch.argsort(costs).tolist():
+            if all(self.apart_px(x[i : i + 1], x[j : j + 1]) > _SAME_PX for j in kept):
+                kept.append(i)
+            if len(kept) == keep:
+                break
+        return x[kept], costs[kept]
+
+    def described(self, x: Tensor, costs: Tensor) -> list[FoundPath]:
+        """Candidates with their misfit and the standard deviations of their knots."""
+        found, knots = [], self.unknowns.knots
+        for i in range(len(x)):
+            one, size = x[i : i + 1], self.unknowns.size
+            matrix, slope = torch.zeros(1, size, size), torch.zeros(1, size)
+            terms: list[Term] = [self.fine, self.rough]
+            for term in terms:
+                term.add_normal(one, matrix, slope)
+            misfit = float(self.fine.cost(one)) / self.fine.values
+            curvature = matrix[0].double()
+            scale = curvature.diagonal().clamp(min=1e-12).sqrt()
+            inverse = (
+                torch.linalg.inv(curvature / scale[:, None] / scale + 1e-9 * torch.eye(size)) / scale[:, None] / scale
+            )
+            centring = torch.eye(knots).double() - 1 / knots  # the place of the whole path is of no account
+            variance = torch.zeros(knots).double()
+            for axis in (0, 1):
+                spread = inverse[axis : 2 * knots : 2, axis : 2 * knots : 2]
+                variance += (centring @ spread @ centring).diagonal().clamp(min=0)
+            deviation = np.asarray(variance.sqrt().numpy() * max(1.0, misfit) ** 0.5, dtype=np.float64)
+            path = self.unknowns.paths(one)[0].numpy().astype(np.float64)
+            found.append(FoundPath(path, float(costs[i]), misfit, deviation))
+        return found
+
+
+def _moments(image: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centroid (2,) and covariance (2, 2) of a trail, px, (x, y)."""
+    weight = np.maximum(image, 0)
+    weight = np.where(weight > 0.05 * weight.max(), weight, 0)
+    rows, columns = np.indices(image.shape)
+    at = np.stack([columns - image.shape[1] // 2, rows - image.shape[0] // 2], axis=-1).reshape(-1, 2)
+    flat = weight.ravel() / weight.sum()
+    centre = flat @ at
+    apart = at - centre
+    return centre, (apart * flat[:, None]).T @ apart
+
+
+def _spot_px(image: FloatArray) -> float:
+    """Estimate the standard deviation of the light's spot, px, from how sharp the ridges of its trail are."""
+    blur_px = 0.7
+    soft = ndimage.gaussian_filter(image, blur_px)
+    xx, yy, xy = (ndimage.gaussian_filter(image, blur_px, order=order) for order in ((0, 2), (2, 0), (1, 1)))
+    sharpest = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
+    ridge = ((soft == ndimage.maximum_filter(soft, 3)) | (soft > 0.5 * soft.max())) & (soft > 0.25 * soft.max())
+    ridge &= sharpest < 0
+    width2 = float(np.percentile(-soft[ridge] / sharpest[ridge], 20)) if ridge.any() else 1.0
+    return float(np.sqrt(np.clip(width2 - blur_px**2 - 1 / 12, 0.3**2, 3.0**2)))
