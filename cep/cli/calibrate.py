@@ -52,8 +52,8 @@ def calibrate(
             metavar="NAME",
             show_default="motdiff; coded with --code",
             help="motdiff (blind, diffusion model), pmp (blind, classical), reference (beside a sharp photo), "
-            "point (of a small light), gyro (from a recording), coded (with --code), or module:name of an estimator of "
-            "your own.",
+            "point (of a small light; with --code in its order in time), gyro (from a recording), coded (with --code), "
+            "or module:name of an estimator of your own.",
         ),
     ] = None,
     sharp: Annotated[
@@ -129,6 +129,8 @@ def calibrate(
     Example: cep calibrate shots -o shots_motion --workers 4
 
     Example: cep calibrate open.png coded.png --code open --code code.json -o motion
+
+    Example: cep calibrate light.png --method point --code code.json -o motion
     """
     method = method or ("coded" if code else "motdiff")
     options = {
@@ -157,6 +159,7 @@ def calibrate(
         from cep.workflows.calibrate import (
             CALIBRATION_FILES,
             check_options,
+            check_times,
             estimate_motion,
         )
         from cep.workflows.calibrate_folder import describe_motion
@@ -167,6 +170,7 @@ def calibrate(
         codes = load_codes(code) if code else None
         if codes is not None:
             check_codes([one.bits for one in codes], photos=len(images))
+            check_times(codes)
         if gyro_unit not in (None, "rad", "deg"):
             raise ValueError(f"--gyro-unit: must be rad or deg, got {gyro_unit!r}")
         parse_gamma(gamma)
@@ -176,7 +180,7 @@ def calibrate(
         sharp_photo = None if sharp is None else read_image(sharp, gamma=gamma, variable="x")
         recording = None if gyro is None else read_gyro(gyro, rate_unit=cast(Any, gyro_unit))
         started = time.perf_counter()
-        begins, ends = _ESTIMATE.get(method, _OWN_ESTIMATE)
+        begins, ends = _OWN_ESTIMATE if codes is not None else _ESTIMATE.get(method, _OWN_ESTIMATE)
         tick(begins, "estimating")
         try:
             found = estimate_motion(

@@ -29,15 +29,25 @@ def load_code(source: str, *, chip_ns: int | None = None) -> ShutterCode:
 def load_codes(sources: Sequence[str]) -> tuple[ShutterCode, ...]:
     """Return the codes of several photos of one motion; ``open`` has the chips of the others.
 
+    Bits and published names say nothing of time: their chips last as long as those of the first code that does.
+
     Examples
     --------
     >>> [code.bits for code in load_codes(["open", "bdinr-8"])]
     ['11111111', '11100101']
     """
     known = [None if source == "open" else load_code(source) for source in sources]
-    chips, chip_ns = next(((len(code.bits), code.chip_ns) for code in known if code is not None), (1, None))
-    whole = ShutterCode("1" * chips) if chip_ns is None else ShutterCode("1" * chips, chip_ns)
-    return tuple(code or whole for code in known)
+    chips = next((code.chips for code in known if code is not None), 1)
+    timed = (code for code, source in zip(known, sources, strict=True) if code is not None and _has_time(source))
+    chip_ns = next((code.chip_ns for code in timed), ShutterCode("1").chip_ns)
+    return tuple(
+        code if code is not None and _has_time(source) else ShutterCode(code.bits if code else "1" * chips, chip_ns)
+        for code, source in zip(known, sources, strict=True)
+    )
+
+
+def _has_time(source: str) -> bool:
+    return code_file(source) is not None or is_reference(source)
 
 
 def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:

@@ -31,6 +31,7 @@ __all__ = [
     "check_options",
     "check_photo",
     "check_texture",
+    "check_times",
     "estimate_motion",
     "make_estimator",
     "write_calibration",
@@ -54,7 +55,7 @@ _LEAST_CONTRAST = 2 / 255
 _LOADING = {"motdiff": (0.12, 0.28, 0.36), "pmp": (0.12, 0.26, 0.32), "coded": (0.02, 0.05, 0.06)}
 """Of an estimate's share: torch is on its way, is there, and so is the estimator; docs/decisions/code.md."""
 _NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}, "coded": {"codes"}}
-_ALLOWED = {"motdiff": {"samples"}, "gyro": {"rate_unit"}}
+_ALLOWED = {"motdiff": {"samples"}, "gyro": {"rate_unit"}, "point": {"codes"}}
 
 
 def check_options(method: str, options: Mapping[str, object]) -> None:
@@ -109,7 +110,7 @@ def make_estimator(
     gyro, focal_px, start_s, exposure_s
         For "gyro": the recording, the focal length in px, and when on the recording's clock the shutter was open.
     codes : sequence of ShutterCode, optional
-        For "coded": of each photo, in order.
+        For "coded", and for "point" where the light was photographed through codes: of each photo, in order.
     progress : callable, optional
         Called with the finished share 0..1 of loading and estimating, and what is being done, by methods that take
         long.
@@ -147,11 +148,11 @@ def make_estimator(
         from motdiff.estimators.gyro import GyroEstimator
 
         return GyroEstimator(gyro, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s)
-    if method == "point":
+    if method == "point" and codes is None:
         from motdiff.estimators.point import PointEstimator
 
         return PointEstimator()
-    torch_begun, torch_there, loaded = _LOADING[method]
+    torch_begun, torch_there, loaded = _LOADING["coded" if codes is not None else method]
 
     def tell(share: float) -> None:
         progress((1 - share) * loaded + share, "searching the motion")
@@ -164,6 +165,10 @@ def make_estimator(
         from motdiff.estimators.coded.estimator import CodedEstimator
 
         made = CodedEstimator([code.bits for code in codes], seed=seed, progress=tell)
+    elif method == "point" and codes is not None:
+        from motdiff.estimators.coded.trail_estimator import TrailEstimator
+
+        made = TrailEstimator([code.bits for code in codes], seed=seed, progress=tell)
     elif method == "pmp":
         from motdiff.estimators.pmp import PmpEstimator
 
@@ -209,7 +214,7 @@ class Calibration(MotionEstimate):
 def estimate_motion(
     photo: ArrayLike,
     *,
-    method: str | Estimator = "motdiff",
+    method: str | Estimator | None = None,
     samples: int | None = None,
     seed: int = 0,
     sharp: ArrayLike | None = None,
@@ -224,14 +229,15 @@ def estimate_motion(
 
     Parameters
     ----------
-    photo : (H, W) or (H, W, 3) array_like, linear light 0..1; with ``codes`` a sequence of such
-    method : str or Estimator
-        One of :data:`METHODS`; an estimator of your own, or its ``module:name``.
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1; with ``codes`` a list or tuple of such
+    method : str or Estimator, optional
+        One of :data:`METHODS`; an estimator of your own, or its ``module:name``. "motdiff" when omitted, "coded" with
+        ``codes``.
     samples, seed, sharp, gyro, focal_px, start_s, exposure_s, progress
         As of :func:`make_estimator`.
     codes : sequence of ShutterCode, optional
-        The code of each photo, all open for an open shutter: the order in time of the motion is found as well. The
-        method is then "coded".
+        The code of each photo, all open for an open shutter: the order in time of the motion is found as well. For
+        "coded", and for "point".
 
     Raises
     ------
@@ -253,6 +259,8 @@ def estimate_motion(
         "samples": samples, "sharp": sharp, "gyro": gyro, "focal_px": focal_px, "start_s": start_s,
         "exposure_s": exposure_s, "codes": codes,
     }  # fmt: skip
+    if method is None:
+        method = "motdiff" if codes is None else "coded"
     if codes is not None:
         return _from_codes(photo, options, method=method, codes=codes, seed=seed, progress=progress)
     if isinstance(method, str):
@@ -273,23 +281,41 @@ def _from_codes(
     photos: ArrayLike | Sequence[ArrayLike], options: dict[str, Any], *, method: str | Estimator,
     codes: Sequence[ShutterCode], seed: int, progress: Callable[[float, str], None],
 ) -> Calibration:  # fmt: skip
-    kind = "coded" if method == "motdiff" else method
-    if not isinstance(kind, str):
+    if not isinstance(method, str):
         raise ValueError("codes: not valid with an estimator of your own")
-    check_options(kind, options)
+    check_options(method, options)
+    check_times(codes)
     given = list(photos) if isinstance(photos, Sequence) else [photos]
+    if len(given) == 1 < len(codes) and np.ndim(given[0]) >= 3:
+        raise ValueError("photo: give the photos of several codes as a list or tuple, not as one array")
     check_codes([code.bits for code in codes], photos=len(given))
     for i, one in enumerate(given, 1):
         try:
-            check_photo(one, kind)
+            check_photo(one, method)
         except ValueError as error:
             which = f"photo {i}: " if len(given) > 1 else "photo: "
             raise ValueError(which + str(error).removeprefix("photo: ")) from None
-    estimator = make_estimator(kind, seed=seed, progress=progress, **options)
+    estimator = make_estimator(method, seed=seed, progress=progress, **options)
     assert hasattr(estimator, "estimate_from")
     found: MotionEstimate = estimator.estimate_from([_as_light(one) for one in given])
     fitted = {one.name: getattr(found, one.name) for one in fields(MotionEstimate)}
     return Calibration(**fitted, photo=_as_light(given[0]))
+
+
+def check_times(codes: Sequence[ShutterCode]) -> None:
+    """Refuse codes that were played at different speeds: they divide one motion in different ways.
+
+    Raises
+    ------
+    ValueError
+        If the codes' chips last differently.
+    """
+    for i, code in enumerate(codes, 1):
+        if code.chip_ns != codes[0].chip_ns:
+            raise ValueError(
+                f"code {i}: its chips last {code.chip_ns} ns, those of the first one {codes[0].chip_ns} ns; photos of "
+                "one motion need codes of one duration"
+            )
 
 
 def _as_light(photo: ArrayLike) -> FloatArray:

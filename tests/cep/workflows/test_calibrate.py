@@ -73,6 +73,25 @@ def test_each_method_makes_its_estimator(small_weights):
     assert type(make_estimator()).__name__ == "MotDiffEstimator"
 
 
+def test_a_light_through_codes_has_an_estimator_of_its_own():
+    assert type(make_estimator("point", codes=[ShutterCode("1011")])).__name__ == "TrailEstimator"
+
+
+@pytest.mark.parametrize(
+    ("photos", "options", "words"),
+    [
+        ([0, 1], {"method": "motdiff"}, r"^codes: not valid with method='motdiff'"),
+        (np.array([0, 1]), {}, r"^photo: give the photos of several codes as a list or tuple, not as one array"),
+        ([0, 1], {"codes": [ShutterCode("1101", 2000), ShutterCode("1111", 1000)]}, r"^code 2: its chips last 1000 ns"),
+    ],
+)
+def test_photos_and_codes_that_do_not_belong_together_are_refused(photos, options, words):
+    noise = np.random.default_rng(0).random((2, 70, 80))
+    given = noise if isinstance(photos, np.ndarray) else list(noise)
+    with pytest.raises(ValueError, match=words):
+        estimate_motion(given, **{"codes": [ShutterCode("1101"), ShutterCode("1111")], **options})
+
+
 def test_the_diffusion_model_gets_its_options(made):
     make_estimator(samples=3, seed=5)
     make_estimator("motdiff")
