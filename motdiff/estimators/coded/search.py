@@ -36,6 +36,7 @@ _KNOTS, _FEW_KNOTS = 53, 27
 _SATURATION = 60.0
 _LOOSE, _STIFF = 0.3, 30.0  # roughness beside kernels, beside photos: second differences of 0.2 px
 _DISTINCT_PX = 0.3
+_PATH_ERRORS_PX = (1.0, 0.3, 0.04)  # allowed on the three grids; at last, what straight pieces between knots leave
 _SIDE_STEP_PX = 6  # photos are cut to sides that the three grids divide
 _LARGEST_SIDE_PX = 252
 _LEAST_INSIDE_PX = 96  # of a photo without its borders
@@ -166,7 +167,7 @@ class _Fit:
         self.centroids = torch.tensor(np.array([centroid_px(kernel)[::-1] for kernel in exposures.kernels]))
         self.scenes = [
             SceneTerm(self.unknowns, self.otfs, one, path_error_px=error_px)
-            for one, error_px in zip(spectra, (1.0, 0.3, 0.0), strict=False)
+            for one, error_px in zip(spectra, _PATH_ERRORS_PX, strict=False)
         ]
 
     def pack(self, paths: FloatArray) -> Tensor:
