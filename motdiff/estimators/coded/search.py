@@ -3,100 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from motdiff.crops import pick_crops
-from motdiff.estimators.coded.misfit import (
-    KernelTerm,
-    Roughness,
-    SceneSpectra,
-    SceneTerm,
-    Term,
-    Unknowns,
-    descend,
-    scene_spectra,
-)
-from motdiff.estimators.coded.otfs import CodedOtfs
+from motdiff.estimators.coded.exposures import Exposures
+from motdiff.estimators.coded.fit import KNOTS, PhotoFit
+from motdiff.estimators.coded.found import FoundPath, expected_deviation_px
+from motdiff.estimators.coded.misfit import SceneSpectra, Term, descend
 from motdiff.estimators.coded.starts import bridged, crossed, decoded_paths, loop_reversals, orders
 from motdiff.motions import boracchi_foi
 from motdiff.progress import Progress
-from motdiff.psf_frame import centroid_px
 from motdiff.trajectory import Trajectory
 
-__all__ = ["UNEXPLAINED", "Exposures", "FoundPath", "find_paths"]
+__all__ = ["UNEXPLAINED", "find_paths"]
 
 FloatArray = NDArray[np.float64]
 
-_KNOTS, _FEW_KNOTS = 53, 27
-_SATURATION = 60.0
-_LOOSE, _STIFF = 0.3, 30.0  # roughness beside kernels, beside photos: second differences of 0.2 px
-_DISTINCT_PX = 0.3
-_PATH_ERRORS_PX = (1.0, 0.3, 0.04)  # allowed on the three grids; at last, what straight pieces between knots leave
-_SIDE_STEP_PX = 6  # photos are cut to sides that the three grids divide
-_LARGEST_SIDE_PX = 252
-_LEAST_INSIDE_PX = 96  # of a photo without its borders
 _DECODED, _ORDERS, _WALKS = 64, 48, 48
 _POPULATION, _KEPT, _PARENTS = 8, 10, 4
 _ROUNDS, _FINE_ROUNDS, _STILL = 6, 3, 2
 _IMPROVED = 0.98
+UNEXPLAINED = 1.25
+"""Misfit above which a path does not explain the photos."""
+
+# the search beside the photos alone
+_FEW_PHOTOS = 2  # their kernels mislead too often to be all that a search begins from
+_FEW_KNOTS = 27  # half as many unknowns make a step twice as cheap
 _LONE_WALKS, _USUAL_PX = 96, 50.0
 _MOST_SEARCHES, _SAME_PX = 4, 1.0
 _WIDE_ROUNDS, _WIDE_STILL, _CHILDREN, _KEPT_OF_WIDE = 20, 4, 32, 6
 _PATIENT = 0.995
-_FEW_PHOTOS = 2  # their kernels mislead too often to be all that a search begins from
-UNEXPLAINED = 1.25
-"""Misfit above which a path does not explain the photos."""
-
-
-@dataclass(frozen=True)
-class Exposures:
-    """What is known of photos of one motion, that with the most light first.
-
-    Attributes
-    ----------
-    codes : tuple of I str
-    kernels : tuple of I (S, S) float
-        Found in each photo alone.
-    weights : (I,) float
-        Inverse of the relative squared error expected of each kernel, times the values that it is spread over.
-    gains : (I,) float
-        Brightness of each photo against the first, beyond what the codes explain.
-    photos : tuple of I (H, W) float, or empty
-        Photos of one scene, laid on each other to within a few px; empty where the scenes differ.
-    """
-
-    codes: tuple[str, ...]
-    kernels: tuple[FloatArray, ...]
-    weights: FloatArray
-    gains: FloatArray
-    photos: tuple[FloatArray, ...] = ()
-
-
-@dataclass(frozen=True)
-class FoundPath:
-    """A path that explains the photos.
-
-    Attributes
-    ----------
-    path : (K, 2) float, px
-        At times spaced evenly over the exposure.
-    cost : float
-        Its sum of squares.
-    misfit : float
-        Of the photos, as a multiple of what noise alone leaves; NaN where only kernels are compared.
-    deviation_px : (K,) float
-        Standard deviation of each knot, as the fit's curvature and misfit give it.
-    """
-
-    path: FloatArray
-    cost: float
-    misfit: float
-    deviation_px: FloatArray = field(repr=False)
 
 
 def find_paths(
@@ -105,7 +44,7 @@ def find_paths(
     rng: np.random.Generator,
     progress: Progress | None = None,
     cost: float = 1.0,
-) -> list[FoundPath]:
+) -> tuple[list[FoundPath], int]:
     """Find the paths that explain the photos best.
 
     Where none does, some kernel was wrong: the search goes on from random walks and without the kernels. With two
@@ -122,106 +61,39 @@ def find_paths(
 
     Returns
     -------
-    list of FoundPath, best first: at least one
+    list of FoundPath, best first, and how many searches found the best one
     """
     told = progress or Progress()
-    spectra = _spectra(exposures)
+    spectra = exposures.spectra()
     search = _Search(exposures, spectra, rng, spend=lambda share: told.spend(share * cost))
     x = search.from_kernels()
     if spectra and len(exposures.codes) == _FEW_PHOTOS:
-        return search.finished(_widely_searched(exposures, spectra, rng, known=search.paths(x), spend=search.spend))
-    found = search.run(x)
+        wide, times = _widely_searched(exposures, spectra, rng, known=search.paths(x), spend=search.spend)
+        return search.finished(wide), times
+    found, times = search.run(x), 1
     if found[0].misfit > UNEXPLAINED:
         told.expect_more(2 * cost)
         known = np.stack([path.path for path in found])
-        wide = _widely_searched(exposures, spectra, rng, known=known, spend=lambda share: told.spend(2 * share * cost))
-        found = min(found, search.finished(wide), key=lambda paths: paths[0].misfit)
-    return found
+        wide, again = _widely_searched(
+            exposures, spectra, rng, known=known, spend=lambda share: told.spend(2 * share * cost)
+        )
+        other = search.finished(wide)
+        if other[0].misfit < found[0].misfit:
+            found, times = other, again
+    return found, times
 
 
-def _spectra(exposures: Exposures) -> list[SceneSpectra]:
-    """Spectra of the photos on three grids, coarse to fine; none where the scene is not shared or too small."""
-    photos = exposures.photos
-    if len(photos) < 2:
-        return []
-    y, x = (np.concatenate(axis) for axis in zip(*(np.nonzero(k) for k in exposures.kernels), strict=True))
-    margin_px = int(np.ceil(0.5 * max(np.ptp(y), np.ptp(x)))) + 10
-    side = min(_LARGEST_SIDE_PX, *(n // _SIDE_STEP_PX * _SIDE_STEP_PX for n in photos[0].shape))
-    if side - 2 * margin_px < _LEAST_INSIDE_PX:
-        return []
-    top, left = pick_crops(photos[0], size=side, count=1)[0]  # where the scene has texture
-    cut = [photo[top : top + side, left : left + side] for photo in photos]
-    return scene_spectra(cut, grids=[side // part for part in (6, 3, 2)], margin_px=margin_px)
-
-
-class _Fit:
-    """Paths of so many knots beside the photos: their terms, and what is done with candidates."""
-
-    def __init__(
-        self, exposures: Exposures, spectra: Sequence[SceneSpectra], rng: np.random.Generator, *, knots: int
-    ) -> None:
-        self.exposures, self.rng, self.knots = exposures, rng, knots
-        self.unknowns = Unknowns(knots, len(exposures.codes))
-        self.otfs = CodedOtfs(exposures.codes, knots)
-        self.loose, self.stiff = Roughness(self.unknowns, _LOOSE), Roughness(self.unknowns, _STIFF)
-        self.centroids = torch.tensor(np.array([centroid_px(kernel)[::-1] for kernel in exposures.kernels]))
-        self.scenes = [
-            SceneTerm(self.unknowns, self.otfs, one, path_error_px=error_px)
-            for one, error_px in zip(spectra, _PATH_ERRORS_PX, strict=False)
-        ]
-
-    def pack(self, paths: FloatArray) -> Tensor:
-        """Candidates of paths (B, K, 2), centred, with the kernels' shifts that lay centroid on centroid."""
-        centred = torch.tensor(paths - paths.mean(axis=1, keepdims=True), dtype=torch.float32)
-        shifts = self.centroids.float() - self.otfs.centroids(centred)
-        gains = torch.tensor(np.tile(self.exposures.gains, (len(paths), 1)), dtype=torch.float32)
-        return self.unknowns.pack(centred, gains, shifts)
-
-    def registered(self, x: Tensor) -> Tensor:
-        """Candidates with the photos' shifts found, where these are of one scene."""
-        return self.scenes[0].registered(x) if self.scenes else x
-
-    def paths(self, x: Tensor) -> FloatArray:
-        """Paths (B, K, 2) of candidates."""
-        return self.unknowns.paths(x).numpy().astype(np.float64)
-
-    def walks(self, count: int, length_px: float | None = None) -> FloatArray:
-        """Random walks (count, K, 2), of any usual length when omitted."""
-        at = np.linspace(0, 1, self.knots)
-        lengths = np.full(count, length_px) if length_px else _USUAL_PX * self.rng.uniform(0.5, 1.5, count)
-        return np.stack([boracchi_foi(self.rng, max_length_px=length).at(at) for length in lengths])
-
-    def best(self, terms: Sequence[Term], x: Tensor, *, steps: int, keep: int) -> tuple[Tensor, Tensor]:
-        """Candidates after some steps of descent, the best of them."""
-        return self.distinct(*descend(terms, x, steps=steps), keep=keep)
-
-    def apart_px(self, one: Tensor, other: Tensor) -> float:
-        """Rms distance of the paths of two candidates (N,), after the best shift."""
-        apart = self.unknowns.paths((one - other)[None])[0]
-        return float((apart - apart.mean(0)).square().sum(1).mean().sqrt())
-
-    def distinct(self, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
-        """Best candidates, none nearer than 0.3 px rms to a better one."""
-        kept = list[int]()
-        for i in torch.argsort(costs).tolist():
-            if all(self.apart_px(x[i], x[j]) > _DISTINCT_PX for j in kept):
-                kept.append(i)
-            if len(kept) == keep:
-                break
-        return x[kept], costs[kept]
-
-
-class _Search(_Fit):
+class _Search(PhotoFit):
     """A search that the photos' kernels lead."""
 
     def __init__(
         self, exposures: Exposures, spectra: Sequence[SceneSpectra], rng: np.random.Generator, *,
         spend: Callable[[float], None],
     ) -> None:  # fmt: skip
-        super().__init__(exposures, spectra, rng, knots=_KNOTS)
-        self.spend, self.length_px = spend, _USUAL_PX
-        self.kernels = {sigma: self._kernels_at(sigma) for sigma in (4.0, 2.5, 1.5)}
-        self.sharpest = self._kernels_at(1.0, _SATURATION)
+        super().__init__(exposures, spectra)
+        self.rng, self.spend, self.length_px = rng, spend, _USUAL_PX
+        self.coarse_kernels = {sigma_px: self.kernels(sigma_px) for sigma_px in (4.0, 2.5, 1.5)}
+        self.sharpest = self.kernels(1.0, saturated=True)
 
     def from_kernels(self) -> Tensor:
         """Candidates from all kinds of starts, fitted to the kernels."""
@@ -232,11 +104,11 @@ class _Search(_Fit):
         self.length_px = float(np.clip(traced.length_px, 8, 90))
         starts = [
             self._decoded(_DECODED),
-            orders(traced, knots=_KNOTS, most=_ORDERS),
-            self.walks(_WALKS, self.length_px),
+            orders(traced, knots=KNOTS, most=_ORDERS),
+            _walks(self.rng, KNOTS, np.full(_WALKS, self.length_px)),
         ]
         x = self.pack(np.concatenate(starts))
-        for term, keep in zip(self.kernels.values(), (48, 24, 10), strict=True):
+        for term, keep in zip(self.coarse_kernels.values(), (48, 24, 10), strict=True):
             x, _ = self.best([term, self.loose], x, steps=8, keep=keep)
         return self.registered(x)
 
@@ -267,16 +139,9 @@ class _Search(_Fit):
         self.spend(0.15)
         return self._described(finest, x, costs)
 
-    def _kernels_at(self, sigma_px: float, saturation: float | None = None) -> KernelTerm:
-        known = self.exposures
-        return KernelTerm(
-            self.unknowns, self.otfs, known.kernels,
-            sigma_px=sigma_px, weights=known.weights, saturation=saturation,
-        )  # fmt: skip
-
     def _decoded(self, count: int, shifts: FloatArray | None = None) -> FloatArray:
         return decoded_paths(
-            self.exposures.kernels, self.exposures.codes, knots=_KNOTS, count=count, length_px=self.length_px,
+            self.exposures.kernels, self.exposures.codes, knots=KNOTS, count=count, length_px=self.length_px,
             rng=self.rng, shifts=shifts,
         )  # fmt: skip
 
@@ -288,8 +153,8 @@ class _Search(_Fit):
         still = 0
         for done in range(rounds):
             new = self.pack(np.stack(self._children(x)))
-            new, _ = descend([self.kernels[2.5], self.loose], new, steps=3)
-            new, _ = self.best([self.kernels[1.5], self.loose], new, steps=4, keep=keep)
+            new, _ = descend([self.coarse_kernels[2.5], self.loose], new, steps=3)
+            new, _ = self.best([self.coarse_kernels[1.5], self.loose], new, steps=4, keep=keep)
             new = self.registered(new)
             if self.scenes and self.scenes[0] not in terms:
                 new, _ = descend([self.scenes[0], self.sharpest, self.loose], new, steps=3)
@@ -317,48 +182,45 @@ class _Search(_Fit):
 
     def _described(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> list[FoundPath]:
         found = []
-        for i in range(len(x)):
-            one = x[i : i + 1]
-            size = self.unknowns.size
-            matrix, slope = torch.zeros(1, size, size), torch.zeros(1, size)
-            for term in terms:
-                term.add_normal(one, matrix, slope)
-            scene = self.scenes[2] if self.scenes else None
-            misfit = float(scene.cost(one)) / scene.values if scene else float("nan")
-            curvature = matrix[0].double() + 1e-9 * matrix[0].diagonal().mean() * torch.eye(size)
-            spread = 0.5 * torch.linalg.inv(curvature)[: 2 * _KNOTS, : 2 * _KNOTS]
-            centring = torch.eye(_KNOTS).double() - 1 / _KNOTS  # the place of the whole path is of no account
-            variance = sum((centring @ spread[axis::2, axis::2] @ centring).diagonal().clamp(min=0) for axis in (0, 1))
-            assert isinstance(variance, Tensor)
-            deviation = (max(1.0, misfit) if scene else 1.0) ** 0.5 * variance.sqrt().numpy()
-            found.append(
-                FoundPath(self.paths(one)[0], float(costs[i]), misfit, np.asarray(deviation, dtype=np.float64))
-            )
+        for one, path, cost in zip(x, self.paths(x), costs.tolist(), strict=True):
+            misfit = self.misfit(one[None])
+            unexplained = max(1.0, misfit) if self.scenes else 1.0
+            deviation_px = np.sqrt(0.5 * unexplained) * expected_deviation_px(self.unknowns, terms, one[None])
+            found.append(FoundPath(path, cost, misfit, deviation_px))
         return found
 
 
 def _widely_searched(
     exposures: Exposures, spectra: Sequence[SceneSpectra], rng: np.random.Generator, *,
     known: FloatArray, spend: Callable[[float], None],
-) -> FloatArray:  # fmt: skip
-    """Search beside the photos alone, from known paths (N, K, 2) and random walks: the best paths (M, K, 2).
+) -> tuple[FloatArray, int]:  # fmt: skip
+    """Search beside the photos alone, from known paths (N, K, 2) and random walks.
 
-    Searches are repeated, from other walks, until one ends where the best of those before it did.
+    Searches are repeated, the later ones from walks alone, until two of them end at one path.
+
+    Returns
+    -------
+    (M, K, 2) best paths, and how many searches ended at the first
     """
-    fit = _Fit(exposures, spectra, rng, knots=_FEW_KNOTS)
+    fit = PhotoFit(exposures, spectra, knots=_FEW_KNOTS)
     share = 0.85 / _MOST_SEARCHES
-    x, costs = _wide_search(fit, _with_knots(known, _FEW_KNOTS), spend=lambda part: spend(share * part))
-    for done in range(1, _MOST_SEARCHES):
-        other, reached = _wide_search(fit, known[:0, :_FEW_KNOTS], spend=lambda part: spend(share * part))
-        agreed = fit.apart_px(x[0], other[0]) < _SAME_PX
-        x, costs = fit.distinct(torch.cat([x, other]), torch.cat([costs, reached]), keep=_POPULATION)
-        if agreed:
-            spend(share * (_MOST_SEARCHES - 1 - done))
+    begun = _with_knots(known, _FEW_KNOTS)
+    ends: list[tuple[Tensor, Tensor]] = []
+    times = 1
+    for done in range(1, _MOST_SEARCHES + 1):
+        ends.append(_wide_search(fit, begun, rng, spend=lambda part: spend(share * part)))
+        begun = begun[:0]
+        x, _ = fit.distinct(*(torch.cat(parts) for parts in zip(*ends, strict=True)), keep=_KEPT_OF_WIDE)
+        times = sum(fit.apart_px(x[0], best[0]) < _SAME_PX for best, _ in ends)
+        if times > 1:
+            spend(share * (_MOST_SEARCHES - done))
             break
-    return _with_knots(fit.paths(x[:_KEPT_OF_WIDE]), _KNOTS)
+    return _with_knots(fit.paths(x), KNOTS), times
 
 
-def _wide_search(fit: _Fit, known: FloatArray, *, spend: Callable[[float], None]) -> tuple[Tensor, Tensor]:
+def _wide_search(
+    fit: PhotoFit, known: FloatArray, rng: np.random.Generator, *, spend: Callable[[float], None]
+) -> tuple[Tensor, Tensor]:
     """Candidates and their costs, best first, from known paths (N, K, 2), of few knots, and as many walks as usual.
 
     Stretches of the best paths are drawn anew between their ends, turned, or taken from each other; on the middle
@@ -366,13 +228,13 @@ def _wide_search(fit: _Fit, known: FloatArray, *, spend: Callable[[float], None]
     """
     coarse: list[Term] = [fit.scenes[0], fit.loose]
     middle: list[Term] = [fit.scenes[1], fit.stiff]
-    x = fit.registered(fit.pack(np.concatenate([known, fit.walks(_LONE_WALKS)])))
+    x = fit.registered(fit.pack(np.concatenate([known, _usual_walks(rng, fit.knots, _LONE_WALKS)])))
     x, _ = fit.best(coarse, x, steps=4, keep=32)
     x, costs = fit.best(middle, x, steps=4, keep=12)
     spend(0.2)
     still = 0
     for done in range(_WIDE_ROUNDS):
-        new = fit.registered(fit.pack(_children_of(fit.paths(x), fit.walks(_CHILDREN), rng=fit.rng)))
+        new = fit.registered(fit.pack(_children_of(fit.paths(x), _usual_walks(rng, fit.knots, _CHILDREN), rng=rng)))
         new, _ = fit.best(coarse, new, steps=2, keep=20)
         new, _ = fit.best(middle, new, steps=2, keep=8)
         new, reached = descend(middle, new, steps=4)
@@ -404,3 +266,13 @@ def _children_of(paths: FloatArray, walks: FloatArray, *, rng: np.random.Generat
 def _with_knots(paths: FloatArray, knots: int) -> FloatArray:
     """Paths (N, K, 2) at so many times spaced evenly."""
     return np.stack([Trajectory.from_samples(path).at(np.linspace(0, 1, knots)) for path in paths])
+
+
+def _usual_walks(rng: np.random.Generator, knots: int, count: int) -> FloatArray:
+    return _walks(rng, knots, _USUAL_PX * rng.uniform(0.5, 1.5, count))
+
+
+def _walks(rng: np.random.Generator, knots: int, lengths_px: FloatArray) -> FloatArray:
+    """Random walks (B, K, 2) of such lengths."""
+    at = np.linspace(0, 1, knots)
+    return np.stack([boracchi_foi(rng, max_length_px=length_px).at(at) for length_px in lengths_px])

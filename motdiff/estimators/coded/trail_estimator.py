@@ -11,13 +11,12 @@ from scipy import ndimage
 from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
-from motdiff.estimators.coded.search import FoundPath
+from motdiff.estimators.coded.found import FoundPath, motion_of_paths
 from motdiff.estimators.coded.trail_search import Trails, find_trail_paths
 from motdiff.estimators.point import background_light
 from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX
 from motdiff.threads import one_thread_a_call
-from motdiff.trajectory import Trajectory
 
 __all__ = ["TrailEstimator"]
 
@@ -31,7 +30,6 @@ _LIT_SIGMA, _FOUND_SIGMA = 4.0, 12.0
 _LEAST_NOISE = 1 / 255 / np.sqrt(12)  # 8 bits round by that
 _MODEL_ERROR = 0.02  # of a pixel's light: the spot is no Gaussian, the pixels differ
 _MOST_CLIPPED = 0.2
-_MOST_PATHS = 3
 # on simulated motions: docs/decisions/motion-estimation.md
 _AGREED, _ALONE = 0.95, 0.3
 _ERROR_RATIO = 1.5
@@ -150,35 +148,14 @@ def _trail(photo: ArrayLike) -> tuple[FloatArray, FloatArray]:
 
 
 def _described(found: Sequence[FoundPath], times: int) -> MotionEstimate:
-    best, others = found[0], found[1:_MOST_PATHS]
+    best = found[0]
     excess = np.array([0.5 * (other.cost - best.cost) / max(1.0, best.misfit) for other in found[1:]])
     likely = np.exp(-np.minimum(excess, 700))
-    probability = float((_AGREED if times > 1 else _ALONE) / (1 + likely.sum()))
-    weights: tuple[float, ...] = (1.0,)
-    if others:
-        share = np.maximum(likely[: len(others)], 1e-9)
-        rest = np.minimum((1 - probability) * share / share.sum(), probability)  # the best one stays the likeliest
-        weights = tuple(float(weight) for weight in np.array([probability, *rest]) / (probability + rest.sum()))
-    trajectories = tuple(Trajectory.from_samples(path.path, direction="known") for path in (best, *others))
-    deviation_px = _ERROR_RATIO * best.deviation_px
-    warnings = []
-    if probability < 0.5:
-        warnings.append(
-            f"the order in time is uncertain (confidence {probability:.2f}): take more photos of this motion through "
-            "other codes, as cep calibration-set designs them"
-        )
-    return MotionEstimate(
-        method="point",
-        trajectories=trajectories,
-        weights=weights,
-        psf=trajectories[0].psf(trajectories[0].frame_size(PSF_PX)),
-        confidence=probability,
-        warnings=tuple(warnings),
-        details={
-            "order_confidence": probability,
-            "path_uncertainty_px": float(np.sqrt((deviation_px**2).mean())),
-            "deviation_px": deviation_px.tolist(),
-            "misfit": best.misfit,
-            "searches_agreeing": times,
-        },
+    return motion_of_paths(
+        "point",
+        found,
+        probability=float((_AGREED if times > 1 else _ALONE) / (1 + likely.sum())),
+        shares=np.maximum(likely, 1e-9),
+        deviation_px=_ERROR_RATIO * best.deviation_px,
+        details={"searches_agreeing": times},
     )

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy import ndimage, optimize
 from torch import Tensor
 
+from motdiff.estimators.coded.found import FoundPath, apart_px, distinct, expected_deviation_px
 from motdiff.estimators.coded.misfit import Roughness, Term, descend
-from motdiff.estimators.coded.search import FoundPath
-from motdiff.estimators.coded.starts import crossed, loop_reversals, orders
+from motdiff.estimators.coded.starts import bridged, crossed, loop_reversals, orders
 from motdiff.estimators.coded.trail_term import TrailTerm, TrailUnknowns
 from motdiff.motions import boracchi_foi
 from motdiff.progress import Progress
@@ -83,14 +83,14 @@ def find_trail_paths(
         ends.append(search.evolved(search.begun()))
         told.spend(cost / (_SEARCHES + 1))
         x, costs = search.distinct(*(torch.cat(parts) for parts in zip(*ends, strict=True)), keep=_POPULATION)
-        times = sum(search.apart_px(x[:1], best[:1]) < _SAME_PX for best, _ in ends)
+        times = sum(search.apart_px(x[0], best[0]) < _SAME_PX for best, _ in ends)
         if times > 1:
             told.spend(cost * (_SEARCHES - done) / (_SEARCHES + 1))
             break
     else:
         x, costs = search.evolved(x)  # what one of them lacks, another may have
         told.spend(cost / (_SEARCHES + 1))
-        times = max(1, sum(search.apart_px(x[:1], best[:1]) < _SAME_PX for best, _ in ends))
+        times = max(1, sum(search.apart_px(x[0], best[0]) < _SAME_PX for best, _ in ends))
     return search.described(x[:_FOUND], costs[:_FOUND]), times
 
 
@@ -249,26 +249,8 @@ class _TrailSearch:
             others = [paths[j] for j in range(len(paths)) if j != i]
             children += [child for other in others if (child := crossed(path, other, rng=self.rng)) is not None]
             children += [self._slipped(path), path[::-1]]
-            children += [self._rerouted(path) for _ in range(_REROUTED)]
+            children += [bridged(path, self._walk(), rng=self.rng) for _ in range(_REROUTED)]
         return children
-
-    def _rerouted(self, path: FloatArray) -> FloatArray:
-        """Path with another, random way for a while, between the same places; an end may move."""
-        knots = len(path)
-        span = int(self.rng.integers(knots // 8, knots // 2))
-        start = int(self.rng.integers(-span // 2, knots - span // 2))
-        stop = start + span
-        at = np.arange(max(0, start), min(knots, stop + 1))
-        walk = self._walk()[at]
-        share = np.linspace(0, 1, len(at))[:, None]
-        first, last = path[at[0]] - walk[0], path[at[-1]] - walk[-1]
-        if start < 0:
-            first = last
-        elif stop >= knots:
-            last = first
-        changed = path.copy()
-        changed[at] = walk + (1 - share) * first + share * last
-        return changed
 
     def _slipped(self, path: FloatArray) -> FloatArray:
         """Path that runs earlier or later for a while."""
@@ -277,44 +259,22 @@ class _TrailSearch:
         when = np.clip(at + self.rng.normal(0, _SLIP) * near, 0, 1)
         return np.stack([np.interp(when, at, path[:, axis]) for axis in (0, 1)], axis=1)
 
-    def apart_px(self, a: Tensor, b: Tensor) -> float:
-        """Rms distance between two candidates (1, N), px."""
-        apart = self.unknowns.paths(a) - self.unknowns.paths(b)
-        return float((apart - apart.mean(1, keepdim=True)).square().sum(2).mean().sqrt())
+    def apart_px(self, one: Tensor, other: Tensor) -> float:
+        """Rms distance of two candidates (N,), px."""
+        return apart_px(self.unknowns, one, other)
 
     def distinct(self, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
         """Best candidates, none near a better one."""
-        kept = list[int]()
-        for i in torch.argsort(costs).tolist():
-            if all(self.apart_px(x[i : i + 1], x[j : j + 1]) > _SAME_PX for j in kept):
-                kept.append(i)
-            if len(kept) == keep:
-                break
-        return x[kept], costs[kept]
+        return distinct(self.unknowns, x, costs, keep=keep, least_px=_SAME_PX)
 
     def described(self, x: Tensor, costs: Tensor) -> list[FoundPath]:
         """Candidates with their misfit and the standard deviations of their knots."""
-        found, knots = [], self.unknowns.knots
-        for i in range(len(x)):
-            one, size = x[i : i + 1], self.unknowns.size
-            matrix, slope = torch.zeros(1, size, size), torch.zeros(1, size)
-            terms: list[Term] = [self.fine, self.rough]
-            for term in terms:
-                term.add_normal(one, matrix, slope)
-            misfit = float(self.fine.cost(one)) / self.fine.values
-            curvature = matrix[0].double()
-            scale = curvature.diagonal().clamp(min=1e-12).sqrt()
-            inverse = (
-                torch.linalg.inv(curvature / scale[:, None] / scale + 1e-9 * torch.eye(size)) / scale[:, None] / scale
-            )
-            centring = torch.eye(knots).double() - 1 / knots  # the place of the whole path is of no account
-            variance = torch.zeros(knots).double()
-            for axis in (0, 1):
-                spread = inverse[axis : 2 * knots : 2, axis : 2 * knots : 2]
-                variance += (centring @ spread @ centring).diagonal().clamp(min=0)
-            deviation = np.asarray(variance.sqrt().numpy() * max(1.0, misfit) ** 0.5, dtype=np.float64)
-            path = self.unknowns.paths(one)[0].numpy().astype(np.float64)
-            found.append(FoundPath(path, float(costs[i]), misfit, deviation))
+        found = []
+        for one, cost in zip(x, costs.tolist(), strict=True):
+            misfit = float(self.fine.cost(one[None])) / self.fine.values
+            deviation_px = expected_deviation_px(self.unknowns, [self.fine, self.rough], one[None])
+            path = self.unknowns.paths(one[None])[0].numpy().astype(np.float64)
+            found.append(FoundPath(path, cost, misfit, max(1.0, misfit) ** 0.5 * deviation_px))
         return found
 
 

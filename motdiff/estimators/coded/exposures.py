@@ -1,0 +1,162 @@
+"""Photos of one motion through known codes, with what is known of each before a path is fitted to all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import median_low
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from motdiff.crops import LEAST_PX, pick_crops, textured_luminance
+from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.estimators.coded.codes import check_codes
+from motdiff.estimators.coded.misfit import SceneSpectra, scene_spectra
+from motdiff.progress import Progress
+
+__all__ = ["Exposures", "exposures_of"]
+
+FloatArray = NDArray[np.float64]
+
+_FULL = 0.95  # photos are brightened for the kernel search up to this
+_SAME_SCENE = 0.8  # correlation of what two photos show beyond their blur
+_BLUR_PX = 12.0
+_TRUSTED = 0.5  # confidence in a kernel
+_BLIND_WEIGHT, _LEAST_TRUST = 300.0, 0.15  # a blind kernel's error: about a tenth of its square
+_SIDE_STEP_PX = 6  # photos are cut to sides that the three grids divide
+_LARGEST_SIDE_PX = 252
+_LEAST_INSIDE_PX = 96  # of a photo without its borders
+
+
+@dataclass(frozen=True)
+class Exposures:
+    """What is known of photos of one motion, that with the most light first.
+
+    Attributes
+    ----------
+    codes : tuple of I str
+    kernels : tuple of I (S, S) float
+        Found in each photo alone.
+    weights : (I,) float
+        Inverse of the relative squared error expected of each kernel, times the values that it is spread over.
+    gains : (I,) float
+        Brightness of each photo against the first, beyond what the codes explain.
+    photos : tuple of I (H, W) float, or empty
+        Photos of one scene, laid on each other to within a few px; empty where the scenes differ.
+    shrunk : int
+        By how much the photos were made smaller: a path of theirs is that much shorter.
+    confidences : tuple of I float
+        Of the kernels.
+    """
+
+    codes: tuple[str, ...]
+    kernels: tuple[FloatArray, ...]
+    weights: FloatArray
+    gains: FloatArray
+    photos: tuple[FloatArray, ...] = ()
+    shrunk: int = 1
+    confidences: tuple[float, ...] = ()
+
+    def spectra(self) -> list[SceneSpectra]:
+        """Spectra of the photos on three grids, coarse to fine; none where the scene is not shared or too small."""
+        if len(self.photos) < 2:
+            return []
+        y, x = (np.concatenate(axis) for axis in zip(*(np.nonzero(k) for k in self.kernels), strict=True))
+        margin_px = int(np.ceil(0.5 * max(np.ptp(y), np.ptp(x)))) + 10
+        side = min(_LARGEST_SIDE_PX, *(n // _SIDE_STEP_PX * _SIDE_STEP_PX for n in self.photos[0].shape))
+        if side - 2 * margin_px < _LEAST_INSIDE_PX:
+            return []
+        top, left = pick_crops(self.photos[0], size=side, count=1)[0]  # where the scene has texture
+        cut = [photo[top : top + side, left : left + side] for photo in self.photos]
+        return scene_spectra(cut, grids=[side // part for part in (6, 3, 2)], margin_px=margin_px)
+
+
+def exposures_of(
+    photos: Sequence[ArrayLike],
+    codes: Sequence[str],
+    *,
+    kernels: Estimator | None = None,
+    progress: Progress | None = None,
+    cost: float = 1.0,
+) -> Exposures:
+    """Find the kernel of each photo on its own, and whether they show one scene.
+
+    Parameters
+    ----------
+    photos : sequence of I (H, W) or (H, W, 3) array_like, linear light 0..1
+    codes : sequence of I str
+    kernels : Estimator, optional
+        What finds a kernel; :class:`motdiff.estimators.pmp.PmpEstimator` when omitted.
+    progress : Progress, optional
+        Where the work done is reported; its plan holds ``cost`` for it already.
+    cost : float
+
+    Raises
+    ------
+    ValueError
+        If the numbers of photos and codes differ, the sizes differ, or a photo cannot be searched.
+    """
+    check_codes(codes, photos=len(photos))
+    told = progress or Progress()
+    greys = [_grey(photo, f"photo {i}" if len(photos) > 1 else "photo") for i, photo in enumerate(photos, 1)]
+    for i, grey in enumerate(greys[1:], 2):
+        if grey.shape != greys[0].shape:
+            (h, w), (h0, w0) = grey.shape, greys[0].shape
+            raise ValueError(f"photo {i}: has {w} x {h} px, the first one {w0} x {h0}; give photos of one size")
+    found = _kernels_of(greys, codes, kernels, told, cost)
+    shrunk = median_low(_shrunk(one) for one in found)  # one motion: a kernel much larger than the others is wrong
+    if shrunk > 1:  # the blur outgrew the search
+        size = (greys[0].shape[1] // shrunk, greys[0].shape[0] // shrunk)
+        greys = [np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float64) for grey in greys]
+        told.expect_more(cost)
+        found = _kernels_of(greys, codes, kernels, told, cost)
+    light = [code.count("1") for code in codes]
+    order = sorted(range(len(light)), key=lambda i: -light[i])
+    trust = np.array([found[i].confidence for i in order])
+    level = np.array([greys[i].mean() / light[i] for i in order])
+    return Exposures(
+        codes=tuple(codes[i] for i in order),
+        kernels=tuple(found[i].psf for i in order),
+        weights=_BLIND_WEIGHT * np.clip(trust, _LEAST_TRUST, 1) ** 2,
+        gains=level / level[0],
+        photos=tuple(greys[i] for i in order) if _are_one_scene(greys) else (),
+        shrunk=shrunk,
+        confidences=tuple(found[i].confidence for i in order),
+    )
+
+
+def _kernels_of(
+    greys: Sequence[FloatArray], codes: Sequence[str], kernels: Estimator | None, progress: Progress, cost: float
+) -> list[MotionEstimate]:
+    from motdiff.estimators.pmp import PmpEstimator
+
+    def estimator(tell: Callable[[float], None]) -> Estimator:
+        return kernels or PmpEstimator(crops=1, progress=tell)
+
+    estimates = []
+    for grey, code in zip(greys, codes, strict=True):
+        bright = grey * max(1.0, min(len(code) / code.count("1"), _FULL / max(float(grey.max()), 1e-6)))
+        estimates.append(estimator(progress.piece(cost / len(greys))).estimate(bright))
+    return estimates
+
+
+def _grey(photo: ArrayLike, name: str) -> FloatArray:
+    try:
+        return textured_luminance(photo, least_px=LEAST_PX)
+    except ValueError as error:
+        raise ValueError(f"{name}: {str(error).removeprefix('photo: ')}") from None
+
+
+def _shrunk(estimate: MotionEstimate) -> int:
+    """How much smaller a photo was made before its kernel was found."""
+    scale = estimate.details.get("scale", 1.0)
+    return round(1 / scale) if isinstance(scale, float) and estimate.confidence >= _TRUSTED else 1
+
+
+def _are_one_scene(photos: Sequence[FloatArray]) -> bool:
+    """Whether all photos show the scene of the first, as far as their blur lets one see."""
+    seen = [ndimage.gaussian_filter(photo, _BLUR_PX) - ndimage.gaussian_filter(photo, 4 * _BLUR_PX) for photo in photos]
+    return all(np.corrcoef(seen[0].ravel(), other.ravel())[0, 1] > _SAME_SCENE for other in seen[1:])

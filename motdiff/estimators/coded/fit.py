@@ -1,0 +1,104 @@
+"""Candidates beside coded photos: the terms that judge them, and how they are laid on the photos."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from motdiff.estimators.coded.exposures import Exposures
+from motdiff.estimators.coded.found import apart_px, distinct
+from motdiff.estimators.coded.misfit import (
+    KernelTerm,
+    Roughness,
+    SceneSpectra,
+    SceneTerm,
+    Term,
+    Unknowns,
+    descend,
+)
+from motdiff.estimators.coded.otfs import CodedOtfs
+from motdiff.psf_frame import centroid_px
+
+__all__ = ["KNOTS", "PhotoFit"]
+
+FloatArray = NDArray[np.float64]
+
+KNOTS = 53
+"""Of a path that is fitted finely."""
+_PATH_ERRORS_PX = (1.0, 0.3, 0.04)  # allowed on the three grids; at last, what straight pieces between knots leave
+_LOOSE, _STIFF = 0.3, 30.0  # roughness beside kernels, beside photos: second differences of 0.2 px
+_SATURATION = 60.0
+
+
+class PhotoFit:
+    """Terms for paths of so many knots.
+
+    Parameters
+    ----------
+    exposures : Exposures
+    spectra : sequence of SceneSpectra
+        As :meth:`Exposures.spectra` returns them.
+    knots : int
+
+    Attributes
+    ----------
+    scenes : list of SceneTerm
+        On three grids, coarse to fine; empty where only kernels are compared.
+    loose, stiff : Roughness
+        Beside kernels and coarse grids, and beside the photos.
+    """
+
+    def __init__(self, exposures: Exposures, spectra: Sequence[SceneSpectra], *, knots: int = KNOTS) -> None:
+        self.exposures, self.knots = exposures, knots
+        self.unknowns = Unknowns(knots, len(exposures.codes))
+        self.loose, self.stiff = Roughness(self.unknowns, _LOOSE), Roughness(self.unknowns, _STIFF)
+        self._otfs = CodedOtfs(exposures.codes, knots)
+        self._centroids = torch.tensor(
+            np.array([centroid_px(kernel)[::-1] for kernel in exposures.kernels]), dtype=torch.float32
+        )
+        self.scenes = [
+            SceneTerm(self.unknowns, self._otfs, one, path_error_px=error_px)
+            for one, error_px in zip(spectra, _PATH_ERRORS_PX, strict=False)
+        ]
+
+    def kernels(self, sigma_px: float, *, saturated: bool = False) -> KernelTerm:
+        """Term of the photos' kernels through a Gaussian; saturated, a kernel that is wrong costs little."""
+        return KernelTerm(
+            self.unknowns, self._otfs, self.exposures.kernels,
+            sigma_px=sigma_px, weights=self.exposures.weights, saturation=_SATURATION if saturated else None,
+        )  # fmt: skip
+
+    def pack(self, paths: FloatArray) -> Tensor:
+        """Candidates of paths (B, K, 2), centred, with the kernels' shifts that lay centroid on centroid."""
+        centred = torch.tensor(paths - paths.mean(axis=1, keepdims=True), dtype=torch.float32)
+        shifts = self._centroids - self._otfs.centroids(centred)
+        gains = torch.tensor(np.tile(self.exposures.gains, (len(paths), 1)), dtype=torch.float32)
+        return self.unknowns.pack(centred, gains, shifts)
+
+    def registered(self, x: Tensor) -> Tensor:
+        """Candidates with the photos' shifts found, where these are of one scene."""
+        return self.scenes[0].registered(x) if self.scenes else x
+
+    def misfit(self, x: Tensor) -> float:
+        """Misfit of the photos by a candidate (1, N), as a multiple of the noise; NaN without a scene."""
+        return float(self.scenes[-1].cost(x)) / self.scenes[-1].values if self.scenes else float("nan")
+
+    def paths(self, x: Tensor) -> FloatArray:
+        """Paths (B, K, 2) of candidates."""
+        return self.unknowns.paths(x).numpy().astype(np.float64)
+
+    def apart_px(self, one: Tensor, other: Tensor) -> float:
+        """Rms distance of the paths of two candidates (N,), after the best shift."""
+        return apart_px(self.unknowns, one, other)
+
+    def distinct(self, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
+        """Best candidates, none near a better one."""
+        return distinct(self.unknowns, x, costs, keep=keep)
+
+    def best(self, terms: Sequence[Term], x: Tensor, *, steps: int, keep: int) -> tuple[Tensor, Tensor]:
+        """Candidates after some steps of descent, the best of them."""
+        return self.distinct(*descend(terms, x, steps=steps), keep=keep)

@@ -1,0 +1,135 @@
+"""Paths that were found, and the estimate that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.coded.misfit import Term, Unknowns
+from motdiff.psf_frame import PSF_PX
+from motdiff.trajectory import Trajectory
+
+__all__ = ["FoundPath", "apart_px", "distinct", "expected_deviation_px", "motion_of_paths"]
+
+FloatArray = NDArray[np.float64]
+
+_MOST_PATHS = 3
+
+
+@dataclass(frozen=True)
+class FoundPath:
+    """A path that explains the photos.
+
+    Attributes
+    ----------
+    path : (K, 2) float, px
+        At times spaced evenly over the exposure.
+    cost : float
+        Its sum of squares.
+    misfit : float
+        Of the photos, as a multiple of what noise alone leaves; NaN where only kernels are compared.
+    deviation_px : (K,) float
+        Standard deviation of each knot, as the fit's curvature and misfit give it.
+    """
+
+    path: FloatArray
+    cost: float
+    misfit: float
+    deviation_px: FloatArray = field(repr=False)
+
+
+def apart_px(unknowns: Unknowns, one: Tensor, other: Tensor) -> float:
+    """Rms distance of the paths of two candidates (N,), after the best shift."""
+    apart = unknowns.paths((one - other)[None])[0]
+    return float((apart - apart.mean(0)).square().sum(1).mean().sqrt())
+
+
+def distinct(
+    unknowns: Unknowns, x: Tensor, costs: Tensor, *, keep: int, least_px: float = 0.3
+) -> tuple[Tensor, Tensor]:
+    """Best candidates of (B, N) and their costs, none nearer than ``least_px`` to a better one."""
+    kept = list[int]()
+    for i in torch.argsort(costs).tolist():
+        if all(apart_px(unknowns, x[i], x[j]) > least_px for j in kept):
+            kept.append(i)
+        if len(kept) == keep:
+            break
+    return x[kept], costs[kept]
+
+
+def expected_deviation_px(unknowns: Unknowns, terms: Sequence[Term], candidate: Tensor) -> FloatArray:
+    """Return the standard deviation (K,) of each knot of a candidate (1, N), by the curvature of the terms."""
+    knots, size = unknowns.knots, unknowns.size
+    matrix, slope = torch.zeros(1, size, size), torch.zeros(1, size)
+    for term in terms:
+        term.add_normal(candidate, matrix, slope)
+    curvature = matrix[0].double()
+    scale = curvature.diagonal().clamp(min=1e-12).sqrt()  # light and px differ by orders of magnitude
+    scaled = curvature / scale[:, None] / scale + 1e-9 * torch.eye(size)
+    covariance = (torch.linalg.inv(scaled) / scale[:, None] / scale)[: 2 * knots, : 2 * knots]
+    centring = torch.eye(knots).double() - 1 / knots  # the place of the whole path is of no account
+    variances = [(centring @ covariance[axis::2, axis::2] @ centring).diagonal().clamp(min=0) for axis in (0, 1)]
+    return np.asarray((variances[0] + variances[1]).sqrt().numpy(), dtype=np.float64)
+
+
+def motion_of_paths(
+    method: str,
+    paths: Sequence[FoundPath],
+    *,
+    probability: float,
+    shares: ArrayLike,
+    deviation_px: FloatArray,
+    scale: float = 1.0,
+    warnings: Sequence[str] = (),
+    details: Mapping[str, object],
+) -> MotionEstimate:
+    """Estimate that the best of some paths makes, and others beside it.
+
+    Parameters
+    ----------
+    method : str
+    paths : sequence of FoundPath, best first
+    probability : float
+        That the order of the best one is right.
+    shares : (N - 1,) float
+        Of what is left, for each other path, relative to each other.
+    deviation_px : (K,) float
+        Expected error of the best path at evenly spaced times.
+    scale : float
+        What the paths are multiplied by.
+    warnings : sequence of str
+    details : mapping
+        Beside ``order_confidence``, ``path_uncertainty_px``, ``deviation_px`` and ``misfit``.
+    """
+    best, others = paths[0], paths[1:_MOST_PATHS]
+    weights = np.ones(1)
+    if others:
+        share = np.asarray(shares, dtype=np.float64)[: len(others)]
+        rest = np.minimum((1 - probability) * share / share.sum(), probability)  # the best one stays the likeliest
+        weights = np.array([probability, *rest]) / (probability + rest.sum())
+    trajectories = tuple(Trajectory.from_samples(scale * path.path, direction="known") for path in (best, *others))
+    doubt = (
+        f"the order in time is uncertain (confidence {probability:.2f}): take more photos of this motion through "
+        "other codes, as cep calibration-set designs them"
+    )
+    return MotionEstimate(
+        method=method,
+        trajectories=trajectories,
+        weights=tuple(weights.tolist()),
+        psf=trajectories[0].psf(trajectories[0].frame_size(PSF_PX)),
+        confidence=probability,
+        warnings=(*([doubt] if probability < 0.5 else []), *warnings),
+        details={
+            "order_confidence": probability,
+            "path_uncertainty_px": float(np.sqrt((deviation_px**2).mean())),
+            "deviation_px": deviation_px.tolist(),
+            "misfit": best.misfit if np.isfinite(best.misfit) else None,
+            **details,
+        },
+    )
