@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cep.cli.console import finish, part, progress
-from cep.cli.options import Force, Gamma, Json, Seed, output_option
+from cep.cli.options import Force, Gamma, Json, output_option
 
 __all__ = ["refine"]
 
@@ -45,7 +45,6 @@ def refine(
         Path | None, output_option("Trajectory to write; FILE with _refined in its name when omitted.")
     ] = None,
     force: Force = False,
-    seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
     """Improve a calibrated path by coded photos of that motion; the given path is kept where they show no better one.
@@ -94,7 +93,6 @@ def refine(
             "images": [str(one) for one in images],
             "codes": [one.bits for one in codes],
             "path_uncertainty_px": found.uncertainty_px,
-            "seed": seed,
         }
         write_motion(target, StoredMotion(found.trajectory, source=source))
         tick(1.0)
@@ -112,7 +110,6 @@ def refine(
         "extent_px": motion.extent_px,
         "direction": motion.direction,
         "seconds": found.seconds,
-        "seed": seed,
         "warnings": [*(line for one in photos for line in one.warnings), *found.warnings],
     }
     if found.kept == "given":

@@ -129,8 +129,8 @@ def refine_motion(
         raise ValueError(f"uncertainty_px: must be above 0, got {uncertainty_px:g}")
     progress(0.01, "loading torch")
     import_module("torch")
+    from motdiff.estimators.coded.found import UNEXPLAINED
     from motdiff.estimators.coded.refine import PathRefiner
-    from motdiff.estimators.coded.search import UNEXPLAINED
 
     paths = [trajectory]
     if trajectory.direction == "unknown":

@@ -20,7 +20,6 @@ from cep.search.order_codes import gray_planes
 from motdiff.crops import luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
-from motdiff.estimators.point import PointEstimator
 from motdiff.metrics import mnc_subpixel, timed_distance_px
 from motdiff.trajectory import Trajectory, slice_psfs
 
@@ -49,6 +48,7 @@ POINT = "point"
 _SHIFT_PX = 2.0  # of a photo, at most, on each axis
 _LIT, _DARK = 0.8, 0.01  # of full scale: the brightest point of a light's streak, and what is around it
 _AROUND_PX = 160
+_LIGHT_CODE = "raskar-52"  # its gaps are short: where a code is closed a trail shows nothing
 
 
 def codes_of_set(name: str, chips: int) -> tuple[str, ...]:
@@ -201,18 +201,21 @@ def motion_from_codes(
 
 
 def motion_from_light(*, motion: str, camera: Mapping[str, Any], seed: int) -> dict[str, float | str]:
-    """Calibrate by the streak of a point light, shutter open; as :func:`motion_from_codes` otherwise.
+    """Calibrate by a point light's trail through Raskar's code; as :func:`motion_from_codes` otherwise.
 
     The light is as bright as it may be without saturating.
     """
+    from motdiff.estimators.coded.trail_estimator import TrailEstimator
+
     truth, rng = paths_from(motion)[0][0], np.random.default_rng([seed, 8])
-    (psf,) = moved_psfs([truth], ["1"], rng.uniform(-_SHIFT_PX, _SHIFT_PX, (1, 2)))
+    codes = codes_of_set(_LIGHT_CODE, 0)
+    (psf,) = moved_psfs([truth], codes, rng.uniform(-_SHIFT_PX, _SHIFT_PX, (1, 2)))
     side_px = len(psf) + _AROUND_PX
     night = np.full((side_px, side_px), _DARK)
     night[side_px // 2, side_px // 2] += _LIT / psf.max()
     photo = capture(night, psf, camera=Camera.from_dict(camera), rng=rng)
     started = time.process_time()
-    estimate = PointEstimator().estimate(np.clip(photo, 0, 1))
+    estimate = TrailEstimator(codes, seed=seed).estimate(np.clip(photo, 0, 1))
     return _figures(estimate, truth, time.process_time() - started)
 
 

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.exposures import Exposures, exposures_of
-from motdiff.estimators.coded.found import FoundPath, motion_of_paths
-from motdiff.estimators.coded.search import UNEXPLAINED, find_paths
+from motdiff.estimators.coded.found import UNEXPLAINED, FoundPath, explained_share, motion_of_paths
+from motdiff.estimators.coded.search import find_paths
 from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
 
@@ -20,7 +20,6 @@ __all__ = ["CodedEstimator"]
 _KERNEL_SHARE, _FIT_SHARE = 0.45, 0.55  # of the time
 # by number of photos, on simulated walks, and the ratio of true to computed error: docs/decisions/motion-estimation.md
 _SHARE_RIGHT, _ERROR_RATIO = (0.05, 0.6, 0.67, 0.93), 2.8
-_MISFIT_POWER = 4.0
 _ALMOST_EQUAL = 1e-3
 
 
@@ -131,5 +130,4 @@ def _order_probability(best: FoundPath, photos: int) -> float:
 
     It falls with what the path leaves unexplained.
     """
-    share = _SHARE_RIGHT[min(photos, len(_SHARE_RIGHT)) - 1]
-    return share if np.isnan(best.misfit) else share * min(1.0, best.misfit**-_MISFIT_POWER)
+    return _SHARE_RIGHT[min(photos, len(_SHARE_RIGHT)) - 1] * explained_share(best.misfit)

@@ -15,11 +15,22 @@ from motdiff.estimators.coded.misfit import Term, Unknowns
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
-__all__ = ["FoundPath", "apart_px", "distinct", "expected_deviation_px", "motion_of_paths"]
+__all__ = [
+    "UNEXPLAINED",
+    "FoundPath",
+    "apart_px",
+    "distinct",
+    "expected_deviation_px",
+    "explained_share",
+    "motion_of_paths",
+]
 
 FloatArray = NDArray[np.float64]
 
+UNEXPLAINED = 1.25
+"""Misfit above which a path does not explain the photos."""
 _MOST_PATHS = 3
+_MISFIT_POWER = 4.0
 
 
 @dataclass(frozen=True)
@@ -42,6 +53,11 @@ class FoundPath:
     cost: float
     misfit: float
     deviation_px: FloatArray = field(repr=False)
+
+
+def explained_share(misfit: float) -> float:
+    """Return what a probability falls to with what a path leaves unexplained, a misfit above 1: a guess."""
+    return 1.0 if np.isnan(misfit) else min(1.0, misfit**-_MISFIT_POWER)
 
 
 def apart_px(unknowns: Unknowns, one: Tensor, other: Tensor) -> float:

@@ -11,14 +11,14 @@ from torch import Tensor
 
 from motdiff.estimators.coded.exposures import Exposures
 from motdiff.estimators.coded.fit import KNOTS, PhotoFit
-from motdiff.estimators.coded.found import FoundPath, expected_deviation_px
+from motdiff.estimators.coded.found import UNEXPLAINED, FoundPath, expected_deviation_px
 from motdiff.estimators.coded.misfit import SceneSpectra, Term, descend
 from motdiff.estimators.coded.starts import bridged, crossed, decoded_paths, loop_reversals, orders
 from motdiff.motions import boracchi_foi
 from motdiff.progress import Progress
 from motdiff.trajectory import Trajectory
 
-__all__ = ["UNEXPLAINED", "find_paths"]
+__all__ = ["find_paths"]
 
 FloatArray = NDArray[np.float64]
 
@@ -26,8 +26,6 @@ _DECODED, _ORDERS, _WALKS = 64, 48, 48
 _POPULATION, _KEPT, _PARENTS = 8, 10, 4
 _ROUNDS, _FINE_ROUNDS, _STILL = 6, 3, 2
 _IMPROVED = 0.98
-UNEXPLAINED = 1.25
-"""Misfit above which a path does not explain the photos."""
 
 # the search beside the photos alone
 _FEW_PHOTOS = 2  # their kernels mislead too often to be all that a search begins from

@@ -11,7 +11,7 @@ from scipy import ndimage
 from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
-from motdiff.estimators.coded.found import FoundPath, motion_of_paths
+from motdiff.estimators.coded.found import FoundPath, explained_share, motion_of_paths
 from motdiff.estimators.coded.trail_search import Trails, find_trail_paths
 from motdiff.estimators.point import background_light
 from motdiff.progress import Progress
@@ -151,10 +151,11 @@ def _described(found: Sequence[FoundPath], times: int) -> MotionEstimate:
     best = found[0]
     excess = np.array([0.5 * (other.cost - best.cost) / max(1.0, best.misfit) for other in found[1:]])
     likely = np.exp(-np.minimum(excess, 700))
+    share = (_AGREED if times > 1 else _ALONE) * explained_share(best.misfit)
     return motion_of_paths(
         "point",
         found,
-        probability=float((_AGREED if times > 1 else _ALONE) / (1 + likely.sum())),
+        probability=float(share / (1 + likely.sum())),
         shares=np.maximum(likely, 1e-9),
         deviation_px=_ERROR_RATIO * best.deviation_px,
         details={"searches_agreeing": times},

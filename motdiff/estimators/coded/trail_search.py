@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, optimize
 from torch import Tensor
 
-from motdiff.estimators.coded.found import FoundPath, apart_px, distinct, expected_deviation_px
+from motdiff.estimators.coded.found import UNEXPLAINED, FoundPath, apart_px, distinct, expected_deviation_px
 from motdiff.estimators.coded.misfit import Roughness, Term, descend
 from motdiff.estimators.coded.starts import bridged, crossed, loop_reversals, orders
 from motdiff.estimators.coded.trail_term import TrailTerm, TrailUnknowns
@@ -29,7 +29,7 @@ _STARTS, _KEPT = 160, (80, 40, 20)
 _POPULATION, _PARENTS, _NEWCOMERS = 12, 6, 8
 _ROUNDS, _STILL, _IMPROVED = 40, 6, 0.98
 _REROUTED = 5
-_SEARCHES = 3
+_SEARCHES = 5
 _FOUND, _SAME_PX = 4, 0.3
 _WALK_PX = (20.0, 90.0)
 _LONGEST_PX = 160.0
@@ -61,7 +61,8 @@ def find_trail_paths(
 ) -> tuple[list[FoundPath], int]:
     """Find the paths that explain the trails best.
 
-    Searches from random walks are repeated until two of them end at one path, which is then no chance.
+    Searches, the later ones from random walks alone, are repeated until two of them end at one path that explains
+    the trails, which is then no chance.
 
     Parameters
     ----------
@@ -80,11 +81,11 @@ def find_trail_paths(
     ends: list[tuple[Tensor, Tensor]] = []
     times = 1
     for done in range(_SEARCHES):
-        ends.append(search.evolved(search.begun()))
+        ends.append(search.evolved(search.begun(traced=not done)))
         told.spend(cost / (_SEARCHES + 1))
         x, costs = search.distinct(*(torch.cat(parts) for parts in zip(*ends, strict=True)), keep=_POPULATION)
         times = sum(search.apart_px(x[0], best[0]) < _SAME_PX for best, _ in ends)
-        if times > 1:
+        if times > 1 and search.misfit(x[:1]) < UNEXPLAINED:
             told.spend(cost * (_SEARCHES - done) / (_SEARCHES + 1))
             break
     else:
@@ -155,14 +156,18 @@ class _TrailSearch:
         self.light = [image.sum() / part.mean() for image, part in zip(trails.images, self.is_open, strict=True)]
         self.moments = [_moments(image) for image in trails.images]
         self.spot_px = min(_spot_px(image) for image in trails.images)
-        self.traced: list[FloatArray] | None = None
 
     def _term(self, sigmas: Sequence[FloatArray], blur_px: float) -> TrailTerm:
         return TrailTerm(self.unknowns, self.trails.codes, self.trails.images, sigmas, blur_px=blur_px)
 
-    def begun(self) -> Tensor:
-        """Paths from new random walks, fitted coarse to fine."""
-        x = self._pack(np.stack([*self._traced(), *(self._walk() for _ in range(_STARTS))]))
+    def misfit(self, x: Tensor) -> float:
+        """Misfit of a candidate (1, N), as a multiple of what noise leaves."""
+        return float(self.fine.cost(x)) / self.fine.values
+
+    def begun(self, *, traced: bool) -> Tensor:
+        """Paths from new random walks, and traced ones where asked, fitted coarse to fine."""
+        starts = [*(self._traced() if traced else ()), *(self._walk() for _ in range(_STARTS))]
+        x = self._pack(np.stack(starts))
         for term, keep in zip(self.coarse[:3], _KEPT, strict=True):
             x, _ = self.distinct(*descend([term, self.rough], x, steps=6), keep=keep)
         return x
@@ -188,9 +193,7 @@ class _TrailSearch:
         """Orders of the paths that are traced in the first photo, its gaps bridged by blur, run as its light tells."""
         from motdiff.tracing import trace_psf_to_trajectory
 
-        if self.traced is not None:
-            return self.traced
-        self.traced = []
+        found: list[FloatArray] = []
         image = np.maximum(self.trails.images[0], 0)
         centre = np.array([image.shape[1] // 2, image.shape[0] // 2])
         for blur_px in _TRACE_BLURS_PX:
@@ -202,11 +205,11 @@ class _TrailSearch:
                 continue
             rows, columns = np.indices(soft.shape)
             middle = np.array([(soft * columns).sum(), (soft * rows).sum()]) / soft.sum() - centre
-            self.traced += [
+            found += [
                 run_by_light(path + middle, image, self.is_open[0], width_px=self.spot_px + 0.3)
                 for path in orders(traced, knots=_TRACED_POINTS, most=_ORDERS)
             ]
-        return self.traced
+        return found
 
     def _walk(self) -> FloatArray:
         """Random walk (K, 2) whose trail has the centroid and the covariance of the first photo's."""
@@ -271,7 +274,7 @@ class _TrailSearch:
         """Candidates with their misfit and the standard deviations of their knots."""
         found = []
         for one, cost in zip(x, costs.tolist(), strict=True):
-            misfit = float(self.fine.cost(one[None])) / self.fine.values
+            misfit = self.misfit(one[None])
             deviation_px = expected_deviation_px(self.unknowns, [self.fine, self.rough], one[None])
             path = self.unknowns.paths(one[None])[0].numpy().astype(np.float64)
             found.append(FoundPath(path, cost, misfit, max(1.0, misfit) ** 0.5 * deviation_px))
