@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.exposures import Exposures, exposures_of
-from motdiff.estimators.coded.found import UNEXPLAINED, FoundPath, explained_share, motion_of_paths
+from motdiff.estimators.coded.found import FoundPath, explained_share, motion_of_paths
 from motdiff.estimators.coded.search import find_paths
 from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
@@ -101,11 +101,6 @@ def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> 
     best, photos = paths[0], len(exposures.codes)
     together = bool(np.isfinite(best.misfit))
     warnings = []
-    if best.misfit > UNEXPLAINED:
-        warnings.append(
-            f"the path leaves {best.misfit:.1f} times the noise unexplained: was the motion the same in each photo, "
-            "and are the codes given in the order of the photos?"
-        )
     if photos > 1 and not together:
         why = "are too small beside their blur" if exposures.photos else "show different scenes"
         warnings.append(f"the photos {why}: the path is fitted to their kernels alone, and less exact")

@@ -23,6 +23,7 @@ __all__ = [
     "expected_deviation_px",
     "explained_share",
     "motion_of_paths",
+    "unexplained_warnings",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -58,6 +59,16 @@ class FoundPath:
 def explained_share(misfit: float) -> float:
     """Return what a probability falls to with what a path leaves unexplained, a misfit above 1: a guess."""
     return 1.0 if np.isnan(misfit) else min(1.0, misfit**-_MISFIT_POWER)
+
+
+def unexplained_warnings(misfit: float) -> list[str]:
+    """Return a warning where a path does not explain the photos, else none."""
+    if not misfit > UNEXPLAINED:
+        return []
+    return [
+        f"the path leaves {misfit:.1f} times the noise unexplained: was the motion the same in each photo, "
+        "and are the codes given in the order of the photos?"
+    ]
 
 
 def apart_px(unknowns: Unknowns, one: Tensor, other: Tensor) -> float:
@@ -140,7 +151,7 @@ def motion_of_paths(
         weights=tuple(weights.tolist()),
         psf=trajectories[0].psf(trajectories[0].frame_size(PSF_PX)),
         confidence=probability,
-        warnings=(*([doubt] if probability < 0.5 else []), *warnings),
+        warnings=(*([doubt] if probability < 0.5 else []), *unexplained_warnings(best.misfit), *warnings),
         details={
             "order_confidence": probability,
             "path_uncertainty_px": float(np.sqrt((deviation_px**2).mean())),

@@ -161,8 +161,11 @@ class _TrailSearch:
         return TrailTerm(self.unknowns, self.trails.codes, self.trails.images, sigmas, blur_px=blur_px)
 
     def misfit(self, x: Tensor) -> float:
-        """Misfit of a candidate (1, N), as a multiple of what noise leaves."""
-        return float(self.fine.cost(x)) / self.fine.values
+        """Misfit of a candidate (1, N), as a multiple of what noise leaves; how rough the path is counts as well.
+
+        Where the shutter is closed a wrong path may run as it likes, but seldom smoothly.
+        """
+        return float(self.fine.cost(x) + self.rough.cost(x)) / self.fine.values
 
     def begun(self, *, traced: bool) -> Tensor:
         """Paths from new random walks, and traced ones where asked, fitted coarse to fine."""
