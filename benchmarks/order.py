@@ -7,7 +7,7 @@
 A set names the photos' codes, as `codes_of_set` of cep/bench/coded/calibrations.py does; `one` is Raskar's code. Each
 photo shows one crop, moved by up to `--moved` px of its own, through the light-true PSF of its code, with Gauss noise
 of so much of full scale. The n-th motion is the same in every set and at every noise. What may differ from photo to
-photo beside: `--brightness`, `--scaled`, `--wobble`.
+photo beside: `--brightness`, `--scaled`, `--wobble`. With `--light` the photos show a small light in the dark.
 
 `right`: the rms distance from the truth, at equal times after the best shift, is at most 1 px and smaller than that of
 the path run backwards; `any given`: one of the paths that the estimate gives is within 1 px. With
@@ -46,6 +46,7 @@ FloatArray = NDArray[np.float64]
 MOTIONS = ("walks", "arcs", "gyro")
 EXPOSURES_S = (0.05, 0.1, 0.25, 0.5)
 RIGHT_PX = 1.0
+LIT, DARK = 0.8, 0.01  # of full scale: a light's trail at its brightest, and what is around it
 SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".bmp"}
 
 
@@ -66,6 +67,7 @@ class Case:
     seed: int
     photos: str
     gyro: str
+    light: bool
 
 
 # -- motions and photos
@@ -127,6 +129,13 @@ def scene_of(case: Case, rng: np.random.Generator) -> FloatArray:
     return wide[row : row + 2 * case.side_px, column : column + 2 * case.side_px]
 
 
+def spot(scene: FloatArray, psf: FloatArray) -> FloatArray:
+    """Scene of the same size with a small light in the dark, as bright as it may be."""
+    night = np.full_like(scene, DARK)
+    night[night.shape[0] // 2, night.shape[1] // 2] += LIT / psf.max()
+    return night
+
+
 def photos_of(case: Case) -> tuple[Trajectory, list[FloatArray]]:
     """Path, and the photos of it."""
     # what does not depend on the codes and the noise is drawn first: all sets are compared on the same
@@ -148,9 +157,10 @@ def photos_of(case: Case) -> tuple[Trajectory, list[FloatArray]]:
     if margin < 0:
         raise SystemExit(f"error: --side: {case.side_px} px do not hold a blur of {frame} px")
     part = slice(margin, margin + case.side_px + frame - 1)
+    scenes = [spot(scene, psf) if case.light else scene for psf in psfs]
     taken = [
         photograph(scene[part, part], level * psf, rng=rng, read_sigma=case.noise)
-        for psf, level, rng in zip(psfs, light, own, strict=True)
+        for scene, psf, level, rng in zip(scenes, psfs, light, own, strict=True)
     ]
     return path, taken
 
@@ -160,12 +170,14 @@ def photos_of(case: Case) -> tuple[Trajectory, list[FloatArray]]:
 
 def figures_of(case: Case) -> dict[str, object]:
     from motdiff.estimators.coded.estimator import CodedEstimator
+    from motdiff.estimators.coded.trail_estimator import TrailEstimator
 
+    estimator = TrailEstimator if case.light else CodedEstimator
     path, taken = photos_of(case)
     began, began_cpu = time.perf_counter(), time.process_time()
     row: dict[str, object]
     try:
-        found = CodedEstimator(case.codes, seed=case.index).estimate_from(taken)
+        found = estimator(case.codes, seed=case.index).estimate_from(taken)
     except ValueError as refusal:
         row = {"refused": str(refusal)}
     else:
@@ -176,7 +188,8 @@ def figures_of(case: Case) -> dict[str, object]:
             "confidence": found.confidence,
             "stated_px": found.details["path_uncertainty_px"],
             "misfit": found.details["misfit"],
-            "kernels": found.details["kernel_confidences"],
+            "searches_agreeing": found.details["searches_agreeing"],
+            "kernels": found.details.get("kernel_confidences", []),
         }
     return row | {"seconds": time.perf_counter() - began, "cpu_s": time.process_time() - began_cpu}
 
@@ -284,6 +297,7 @@ def uncertainty_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--photos", default="", metavar="FOLDER", help="scenes; scikit-image's own when omitted")
+    parser.add_argument("--light", action="store_true", help="a small light's trails in place of photos of a scene")
     parser.add_argument("--gyro", default="", metavar="FILE", help="angular-rate trace; synthetic when omitted")
     parser.add_argument("--set", nargs="+", default=["open+gray3", "open+one", "one"], metavar="CODES")
     parser.add_argument("--motions", nargs="+", default=["walks"], choices=MOTIONS)
@@ -310,6 +324,7 @@ def main() -> None:
             set=name, codes=codes, motions=motions, index=index, noise=noise,
             moved_px=given.moved, brightness=given.brightness, scaled=given.scaled, wobble_px=given.wobble,
             side_px=given.side, seed=given.seed, photos=given.photos, gyro=given.gyro if motions == "gyro" else "",
+            light=given.light,
         )
         for index in range(given.count) for motions in given.motions
         for noise in given.noise for name, codes in sets.items()
