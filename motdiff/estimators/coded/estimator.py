@@ -18,8 +18,11 @@ from motdiff.threads import one_thread_a_call
 __all__ = ["CodedEstimator"]
 
 _KERNEL_SHARE, _FIT_SHARE = 0.45, 0.55  # of the time
-# by number of photos, on simulated walks, and the ratio of true to computed error: docs/decisions/motion-estimation.md
-_SHARE_RIGHT, _ERROR_RATIO = (0.05, 0.6, 0.67, 0.93), 2.8
+# on simulated walks: how often the path is right, by number of photos; and the ratio of true to computed error
+# (docs/decisions/motion-estimation.md)
+_SHARE_RIGHT, _ERROR_RATIO = (0.05, 0.75, 0.67, 0.93), 2.8
+_TWO_VAGUE, _TWO_ALONE = 0.3, 0.2  # two photos whose path is known less exactly; whose searches end apart
+_VAGUE_PX = 0.25
 _ALMOST_EQUAL = 1e-3
 
 
@@ -107,7 +110,7 @@ def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> 
     return motion_of_paths(
         "coded",
         paths,
-        probability=_order_probability(best, photos if together else max(1, photos - 1)),
+        probability=_order_probability(best, photos if together else max(1, photos - 1), times=times),
         shares=[1 / max(other.cost / best.cost - 1, _ALMOST_EQUAL) for other in paths[1:]],
         deviation_px=_ERROR_RATIO * exposures.shrunk * best.deviation_px,
         scale=exposures.shrunk,
@@ -120,9 +123,15 @@ def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> 
     )
 
 
-def _order_probability(best: FoundPath, photos: int) -> float:
+def _order_probability(best: FoundPath, photos: int, *, times: int) -> float:
     """Probability that a path is the true one to within 1 px: as often as with so many photos of one scene.
 
-    It falls with what the path leaves unexplained.
+    It falls with what the path leaves unexplained; of two photos also where no other search ended at that path, or
+    its expected error is large, as on scenes of little texture.
     """
-    return _SHARE_RIGHT[min(photos, len(_SHARE_RIGHT)) - 1] * explained_share(best.misfit)
+    share = _SHARE_RIGHT[min(photos, len(_SHARE_RIGHT)) - 1]
+    if photos == 2 and times < 2:
+        share = _TWO_ALONE
+    elif photos == 2 and _ERROR_RATIO * np.sqrt((best.deviation_px**2).mean()) > _VAGUE_PX:
+        share = _TWO_VAGUE
+    return share * explained_share(best.misfit)
