@@ -9,7 +9,7 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from cep.cli.console import finish, part, progress
+from cep.cli.console import finish, part, photo_named, progress
 from cep.cli.jobs import Cache, Dask, Workers, finish_folder, only_of_folders
 from cep.cli.options import Force, Gamma, Json, Seed, output_option
 
@@ -199,7 +199,9 @@ def calibrate(
         except ValueError as error:
             if str(error).partition(": ")[0] in options:  # it is an option that is wrong, not the photo
                 raise
-            raise ValueError(f"{image}: {error}" if len(images) == 1 else str(error)) from None
+            if len(images) > 1:
+                raise ValueError(photo_named(str(error), images)) from None
+            raise ValueError(f"{image}: {str(error).removeprefix('photo: ')}") from None
         seconds = time.perf_counter() - started
         tick(ends, "writing")
         source = {"image": str(image), "seed": seed}

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ __all__ = [
     "explain",
     "finish",
     "part",
+    "photo_named",
     "progress",
     "table",
     "warn",
@@ -203,6 +206,18 @@ class Table:
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, kept: int = 0) -> Table:
     """Make a table: the first column is text, the others figures or texts; None is printed as a dash."""
     return Table(title, columns, rows, kept)
+
+
+def photo_named(line: str, images: Sequence[Path]) -> str:
+    """Return an error of several photos with the file's name for ``photo 2``; other errors as they are.
+
+    Examples
+    --------
+    >>> photo_named("photo 2: is too small", [Path("one.png"), Path("two.png")])
+    'two.png: is too small'
+    """
+    found = re.match(r"photo(?: (\d+))?: ", line)
+    return line if found is None else f"{images[int(found[1] or 1) - 1]}: {line[found.end() :]}"
 
 
 def _cell(value: object) -> str:

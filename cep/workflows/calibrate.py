@@ -289,12 +289,7 @@ def _from_codes(
     if len(given) == 1 < len(codes) and np.ndim(given[0]) >= 3:
         raise ValueError("photo: give the photos of several codes as a list or tuple, not as one array")
     check_codes([code.bits for code in codes], photos=len(given))
-    for i, one in enumerate(given, 1):
-        try:
-            check_photo(one, method)
-        except ValueError as error:
-            which = f"photo {i}: " if len(given) > 1 else "photo: "
-            raise ValueError(which + str(error).removeprefix("photo: ")) from None
+    check_photos(given, method)
     estimator = make_estimator(method, seed=seed, progress=progress, **options)
     assert hasattr(estimator, "estimate_from")
     found: MotionEstimate = estimator.estimate_from([_as_light(one) for one in given])
@@ -340,6 +335,28 @@ def check_photo(photo: ArrayLike, method: str) -> None:
     """
     check_size(photo, least_px=_LEAST_PX.get(method, 1))
     check_texture(photo)
+
+
+def check_photos(photos: Sequence[ArrayLike], method: str) -> None:
+    """Check each of several photos as :func:`check_photo` does.
+
+    Parameters
+    ----------
+    photos : sequence of (H, W) or (H, W, 3) array_like, linear light 0..1
+    method : str
+        One of :data:`METHODS`.
+
+    Raises
+    ------
+    ValueError
+        Beginning with ``photo:``, where there are several with ``photo 2:``, what is wrong with it.
+    """
+    for i, photo in enumerate(photos, 1):
+        try:
+            check_photo(photo, method)
+        except ValueError as error:
+            which = f"photo {i}: " if len(photos) > 1 else "photo: "
+            raise ValueError(which + str(error).removeprefix("photo: ")) from None
 
 
 def check_texture(photo: ArrayLike) -> None:

@@ -68,7 +68,7 @@ def test_a_small_light_s_trail_has_its_order_in_time(cep, tmp_path, monkeypatch)
         (["open.png", "coded.png", "--code", "1101", "--code", CODES[1]], ["--code 2", "16 chips", "4"]),
         (["open.png", "coded.png", "--code", "open", "--code", "0" * 16], ["open"]),
         (["open.png", "coded.png", "--code", "open", "--code", "nothing"], ["nothing", "no code"]),
-        (["open.png", "small.png", "--code", "open", "--code", CODES[1]], ["photo 2", "px"]),
+        (["open.png", "small.png", "--code", "open", "--code", CODES[1]], ["cep: small.png: ", "px"]),
         (["open.png", "missing.png", "--code", "open", "--code", CODES[1]], ["missing.png"]),
         (["coded.png", "--code", CODES[1], "--method", "pmp"], ["code", "pmp"]),
         (["coded.png", "--code", CODES[1], "--method", "motdiff"], ["code", "motdiff"]),

@@ -236,7 +236,7 @@ def test_a_photo_that_is_too_small_is_refused_before_anything_slow_is_loaded(wor
     )
     command = [sys.executable, "-c", script, "calibrate", "small.png", "--method", method]
     ran = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert ran.stderr == f"cep: small.png: photo: needs at least {least_px} x {least_px} px, got 35 x 30\n"
+    assert ran.stderr == f"cep: small.png: needs at least {least_px} x {least_px} px, got 35 x 30\n"
     assert ran.stdout == "2\n"
     assert not Path("small_motion").exists()
 
