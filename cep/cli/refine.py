@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cep.cli.console import finish, part, progress
+from cep.cli.console import finish, part, photo_named, progress
 from cep.cli.options import Force, Gamma, Json, output_option
 
 __all__ = ["refine"]
@@ -58,9 +58,10 @@ def refine(
     """
     with progress("refining the motion") as tick:
         tick(0.0, "reading the photos")
-        from cep.codes.sources import load_codes
+        from cep.codes.sources import code_file, load_codes
         from cep.io.images import parse_gamma, read_photo
         from cep.io.outputs import claim
+        from cep.workflows.calibrate import check_times
         from motdiff.estimators.coded.codes import check_codes
         from motdiff.io.trajectories import StoredMotion, read_motion, stated_uncertainty_px, write_motion
 
@@ -69,12 +70,12 @@ def refine(
             raise ValueError("--trajectory: needed, the calibration to be refined")
         if not code:
             raise ValueError("--code: needed, once for each photo")
-        if uncertainty is not None and not 0 < uncertainty < float("inf"):
-            raise ValueError(f"--uncertainty: must be above 0 px, got {uncertainty:g}")
         codes = load_codes(code)
         check_codes([one.bits for one in codes], photos=len(images))
+        check_times(codes)
         target = output or trajectory.with_name(f"{trajectory.stem}_refined.json")
-        claim([target], force=force, inputs=[trajectory, *images])
+        code_files = [file for file in map(code_file, code) if file is not None]
+        claim([target], force=force, inputs=[trajectory, *images, *code_files])
         stored = read_motion(trajectory)
         stated = stated_uncertainty_px(stored, trajectory)
         photos = [read_photo(one, gamma=gamma) for one in images]
@@ -83,10 +84,13 @@ def refine(
         from cep.workflows.refine import USUAL_UNCERTAINTY_PX, refine_motion
 
         usual = USUAL_UNCERTAINTY_PX if stated is None else stated
-        found = refine_motion(
-            [one.pixels for one in photos], codes, stored.trajectory,
-            uncertainty_px=usual if uncertainty is None else uncertainty, progress=part(tick, 0.03, 0.99),
-        )  # fmt: skip
+        try:
+            found = refine_motion(
+                [one.pixels for one in photos], codes, stored.trajectory,
+                uncertainty_px=usual if uncertainty is None else uncertainty, progress=part(tick, 0.03, 0.99),
+            )  # fmt: skip
+        except ValueError as error:
+            raise ValueError(photo_named(str(error), images)) from None
         source = {
             "method": "refined",
             "trajectory": str(trajectory),
@@ -116,7 +120,7 @@ def refine(
         found_order = motion.direction != stored.trajectory.direction
         order = ", in the order in time that they show" if found_order else ""
         said = f"the given path is kept, as the photos show no better one{order}"
-    elif found.misfit is None:
+    elif found.confidence is not None:
         said = (
             f"refined by {found.moved_px:.2g} px rms; it explains the photos better with probability "
             f"{found.confidence:.2f}"

@@ -25,7 +25,7 @@ from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
-__all__ = ["DirectionResult", "compare_psfs", "detect_direction"]
+__all__ = ["DirectionResult", "compare_psfs", "detect_direction", "orders_in_time"]
 
 FloatArray = NDArray[np.float64]
 _LARGEST_CROP_PX = 512
@@ -105,7 +105,7 @@ def detect_direction(  # a test of directions, not a test
     >>> detect_direction(capture(scene, path.reversed(), code, rng=rng), path, code).direction
     'reverse'
     """
-    paths = _orders(trajectory)
+    paths = orders_in_time(trajectory)
     frame = max(size, *(path.frame_size() for path in paths))
     result, chosen = _compared(photo, [coded_psf(path, code, frame) for path in paths])
     return replace(result, trajectory=paths[chosen])
@@ -128,8 +128,14 @@ def compare_psfs(photo: ArrayLike, forward: ArrayLike, reverse: ArrayLike) -> Di
     return _compared(photo, [np.asarray(psf, dtype=np.float64) for psf in (forward, reverse)])[0]
 
 
-def _orders(trajectory: Trajectory) -> list[Trajectory]:
-    """Orders in time of a path: as given, reversed, then those with loops reversed, if it has any."""
+def orders_in_time(trajectory: Trajectory) -> list[Trajectory]:
+    """Orders in time of a path: as given, reversed, then those with loops reversed, if it has any.
+
+    Examples
+    --------
+    >>> len(orders_in_time(Trajectory.from_samples([[0, 0], [8, 1], [12, 9]])))
+    2
+    """
     others = orders(trajectory, knots=_ORDER_KNOTS, most=_MOST_ORDERS)[2:]
     reordered = [Trajectory.from_samples(xy, direction=trajectory.direction) for xy in others]
     return [trajectory, trajectory.reversed(), *reordered]

@@ -9,16 +9,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.optics.path_limits import check_resolved
-from cep.restoration.direction import compare_psfs, detect_direction
-from cep.workflows.calibrate import check_photo
+from cep.restoration.direction import compare_psfs, detect_direction, orders_in_time
+from cep.workflows.calibrate import check_photos, check_times
 from motdiff.estimators.base import Estimator
 from motdiff.estimators.coded.codes import check_codes
-from motdiff.estimators.coded.starts import orders
+from motdiff.metrics import timed_distance_px
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
@@ -27,14 +27,10 @@ if TYPE_CHECKING:
 
 __all__ = ["USUAL_UNCERTAINTY_PX", "Refinement", "refine_motion"]
 
-FloatArray = NDArray[np.float64]
-
 USUAL_UNCERTAINTY_PX = 1.0
 """Error of a calibration, rms over time, where none is stated."""
 _FITTED = 0.9  # of the time
-_ORDER_KNOTS, _MOST_ORDERS = 201, 24
 _SURE = 0.8  # of the test on the photo, which errs below it: docs/decisions/motion-estimation.md
-_LEAST_GAIN = 212.0  # twice the coordinates of the fitted knots: what noise alone gains
 _SAME_PX = 1.0
 
 
@@ -46,24 +42,25 @@ class Refinement:
     ----------
     trajectory : Trajectory
         The refined path, or the given one where that explains the photos as well; in the order in time that two or
-        more photos of one scene show.
+        more photos of one scene show. Where no path near the given one explains them, that one as it is.
     kept : {"refined", "given"}
-    confidence : float
-        Probability that the refined path is the better one.
+    confidence : float or None
+        Probability that the refined path is the better one, where only the photos' kernels could be compared; None for
+        photos of one scene, whose misfit decides.
     uncertainty_px : float
         Expected error of ``trajectory``, rms over time.
     moved_px : float
         Rms distance of the refined path from the given one in the order found; 0 where that is kept.
     given_misfit, misfit : float or None
-        Of photos of one scene along the given path and along ``trajectory``: multiples of what noise leaves; None
-        where only the photos' kernels could be compared.
+        Of photos of one scene along the given path, in the order in time that fits best, and along the path kept:
+        multiples of what noise leaves; None where only the photos' kernels could be compared.
     warnings : tuple of str
     seconds : float
     """
 
     trajectory: Trajectory
     kept: Literal["refined", "given"]
-    confidence: float
+    confidence: float | None
     uncertainty_px: float
     moved_px: float
     given_misfit: float | None
@@ -84,7 +81,7 @@ def refine_motion(
     """Improve a path by photos that were taken of its motion through known codes.
 
     Two or more photos of one scene tell the order in time as well. The refined path is kept only if it explains the
-    photos better than the given one by more than noise does.
+    photos better than the given one by more than noise does, and leaves little of them unexplained.
 
     Parameters
     ----------
@@ -102,7 +99,8 @@ def refine_motion(
     Raises
     ------
     ValueError
-        If codes and photos do not fit each other, a photo cannot be searched, or the uncertainty is not above 0.
+        If codes and photos do not fit each other, the codes' chips last differently, a photo cannot be searched, or
+        the uncertainty is not above 0.
 
     Examples
     --------
@@ -118,47 +116,40 @@ def refine_motion(
     """
     started = time.perf_counter()
     given = list(photos)
-    check_codes([code.bits for code in codes], photos=len(given))
-    check_resolved(trajectory, codes[0].chips)
-    for i, photo in enumerate(given, 1):
-        try:
-            check_photo(photo, "coded")
-        except ValueError as error:
-            raise ValueError(f"photo {i}: {str(error).removeprefix('photo: ')}") from None
     if not (np.isfinite(uncertainty_px) and uncertainty_px > 0):
         raise ValueError(f"uncertainty_px: must be above 0, got {uncertainty_px:g}")
+    check_codes([code.bits for code in codes], photos=len(given))
+    check_times(codes)
+    check_resolved(trajectory, codes[0].chips)
+    check_photos(given, "coded")
     progress(0.01, "loading torch")
     import_module("torch")
     from motdiff.estimators.coded.found import UNEXPLAINED
-    from motdiff.estimators.coded.refine import PathRefiner
+    from motdiff.estimators.coded.refine import NOISE_GAIN, PathRefiner
 
-    paths = [trajectory]
-    if trajectory.direction == "unknown":
-        others = orders(trajectory, knots=_ORDER_KNOTS, most=_MOST_ORDERS)[2:]
-        paths += [trajectory.reversed(), *(Trajectory.from_samples(xy) for xy in others)]
+    paths = [trajectory] if trajectory.direction == "known" else orders_in_time(trajectory)
     refiner = PathRefiner(
         [code.bits for code in codes], deviation_px=uncertainty_px, kernels=kernels,
         progress=lambda share: progress(0.03 + (_FITTED - 0.03) * share, "fitting the path"),
     )  # fmt: skip
     found = refiner.refine(paths, given)
     progress(_FITTED, "comparing the paths")
-    if found[0].values:
-        best = found[0]
-        is_better = (best.given_misfit - best.misfit) * best.values > _LEAST_GAIN
-        confidence = 1.0 if is_better else 0.5
+    best, confidence = found[0], None
+    is_unexplained = bool(best.misfit > UNEXPLAINED)  # NaN where only kernels are compared
+    if best.values:
+        is_better = not is_unexplained and (best.given_misfit - best.misfit) * best.values > NOISE_GAIN
     else:
-        baseline = _likeliest_order(given[0], codes[0], trajectory)
-        best, confidence = _best_by_test(given, codes, baseline, found)
+        best, confidence = _best_by_test(given, codes, _likeliest_order(given, codes, trajectory), found)
         is_better = confidence > _SURE
-    misfit = best.misfit if is_better else best.given_misfit
     kept = best.trajectory if is_better else best.given if best.values else trajectory
     warnings = []
-    if misfit > UNEXPLAINED:
+    if is_unexplained:
+        kept = trajectory
         warnings.append(
-            f"the path leaves {misfit:.1f} times the noise unexplained: was the motion the same in each photo, and are "
-            "the codes given in the order of the photos?"
+            f"the given path is kept as it is, as none near it explains the photos: the best leaves {best.misfit:.1f} "
+            "times the noise; was the motion the same in each photo, and are the codes given in the photos' order?"
         )
-    elif best.values and _stands_alone(found):
+    elif best.values and _stands_alone(found, least_gain=NOISE_GAIN):
         kept = Trajectory(kept.t, kept.xy, direction="known")
     progress(1.0, "comparing the paths")
     return Refinement(
@@ -166,18 +157,22 @@ def refine_motion(
         kept="refined" if is_better else "given",
         confidence=confidence,
         uncertainty_px=min(best.deviation_px, uncertainty_px) if is_better else uncertainty_px,
-        moved_px=_apart_px(best.trajectory, best.given) if is_better else 0.0,
+        moved_px=timed_distance_px(best.trajectory, best.given) if is_better else 0.0,
         given_misfit=best.given_misfit if best.values else None,
-        misfit=misfit if best.values else None,
+        misfit=(best.misfit if is_better else best.given_misfit) if best.values else None,
         warnings=tuple(warnings),
         seconds=time.perf_counter() - started,
     )
 
 
-def _likeliest_order(photo: ArrayLike, code: ShutterCode, trajectory: Trajectory) -> Trajectory:
+def _likeliest_order(photos: Sequence[ArrayLike], codes: Sequence[ShutterCode], trajectory: Trajectory) -> Trajectory:
+    """Return the order in time that the first photo whose code tells both directions apart shows."""
     if trajectory.direction == "known":
         return trajectory
-    return detect_direction(photo, trajectory, code).trajectory or trajectory
+    i = next(i for i, code in enumerate(codes) if code.bits != code.bits[::-1])
+    likeliest = detect_direction(photos[i], trajectory, codes[i]).trajectory
+    assert likeliest is not None
+    return likeliest
 
 
 def _best_by_test(
@@ -201,17 +196,10 @@ def _best_by_test(
     return best, float(1 / (1 + np.exp(-log_odds(best.trajectory, baseline))))
 
 
-def _stands_alone(found: Sequence[RefinedPath]) -> bool:
+def _stands_alone(found: Sequence[RefinedPath], *, least_gain: float) -> bool:
     """Whether no path of another order explains the photos nearly as well as the best one."""
     best = found[0]
     return all(
-        other.cost - best.cost > _LEAST_GAIN or _apart_px(other.trajectory, best.trajectory) < _SAME_PX
+        other.cost - best.cost > least_gain or timed_distance_px(other.trajectory, best.trajectory) < _SAME_PX
         for other in found[1:]
     )
-
-
-def _apart_px(path: Trajectory, other: Trajectory) -> float:
-    """Rms distance at equal times, wherever the paths lie."""
-    t = np.linspace(0, 1, 401)
-    apart = path.at(t) - other.at(t)
-    return float(np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,10 +20,12 @@ from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
 from motdiff.trajectory import Trajectory
 
-__all__ = ["PathRefiner", "RefinedPath"]
+__all__ = ["NOISE_GAIN", "PathRefiner", "RefinedPath"]
 
 FloatArray = NDArray[np.float64]
 
+NOISE_GAIN = 4.0 * KNOTS
+"""What noise alone gains in the sum of squares: twice the coordinates of the knots."""
 _SMOOTH_OVER = 0.12  # of the exposure: an error of the path changes over such times
 _ROUGH_PX = 0.03  # error of each knot beside the smooth one
 _ANYWHERE_PX = 100.0  # the place of the whole path is of no account
@@ -137,8 +139,8 @@ class PathRefiner:
             progress.spend(_NEAREST_COST)
         found = []
         for path in near:
-            for steered in _STEERED:
-                found.append(fit.refined(path, self._deviation_px / factor, steered=steered, factor=factor))
+            for one in fit.refined(path, self._deviation_px / factor, factor=factor):
+                found.append(one)
                 progress.spend(1.0)
         return sorted(found, key=lambda one: one.cost)
 
@@ -157,30 +159,32 @@ class _RefiningFit(PhotoFit):
         _, costs = descend(terms, x, steps=4)
         return [paths[i] for i in torch.argsort(costs)[:_ORDERS_KEPT].tolist()]
 
-    def refined(self, path: Trajectory, deviation_px: float, *, steered: float, factor: int) -> RefinedPath:
-        """Descend from a path with so many times its deviation."""
+    def refined(self, path: Trajectory, deviation_px: float, *, factor: int) -> Iterator[RefinedPath]:
+        """Descend from a path with half, once and twice its deviation."""
         start = _knots(path)
         prior = _PathPrior(self.unknowns, start, deviation_px)
-        guide = _PathPrior(self.unknowns, start, steered * deviation_px)
-        x = self.registered(self.pack(start[None]))
-        given_misfit = self._misfit_of_given(x)
-        if self.scenes:
-            for term, steps in zip(self.scenes, (6, 6, 12), strict=True):
-                x, _ = descend([term, self.sharpest, guide], x, steps=steps)
-        else:
-            x, _ = descend([self.sharpest, guide], x, steps=20)
-        move = self.paths(x)[0] - start
         terms: list[Term] = [self.sharpest, prior, *self.scenes[-1:]]
-        knots_px = expected_deviation_px(self.unknowns, terms, x)
-        return RefinedPath(
-            given=path.scaled(factor),
-            trajectory=_moved(path, move).scaled(factor),
-            cost=sum(float(term.cost(x)) for term in terms),
-            given_misfit=given_misfit,
-            misfit=self.misfit(x),
-            values=self.scenes[-1].values if self.scenes else 0,
-            deviation_px=_ERROR_RATIO * factor * float(np.sqrt((knots_px**2).mean())),
-        )
+        begin = self.registered(self.pack(start[None]))
+        given_misfit = self._misfit_of_given(begin)
+        for steered in _STEERED:
+            x = self._descended(begin, _PathPrior(self.unknowns, start, steered * deviation_px))
+            knots_px = expected_deviation_px(self.unknowns, terms, x)
+            yield RefinedPath(
+                given=path.scaled(factor),
+                trajectory=_moved(path, self.paths(x)[0] - start).scaled(factor),
+                cost=sum(float(term.cost(x)) for term in terms),
+                given_misfit=given_misfit,
+                misfit=self.misfit(x),
+                values=self.scenes[-1].values if self.scenes else 0,
+                deviation_px=_ERROR_RATIO * factor * float(np.sqrt((knots_px**2).mean())),
+            )
+
+    def _descended(self, x: Tensor, guide: _PathPrior) -> Tensor:
+        if not self.scenes:
+            return descend([self.sharpest, guide], x, steps=20)[0]
+        for term, steps in zip(self.scenes, (6, 6, 12), strict=True):
+            x, _ = descend([term, self.sharpest, guide], x, steps=steps)
+        return x
 
     def _misfit_of_given(self, x: Tensor) -> float:
         """Misfit of the photos along a path that stays as it is; shifts and gains are fitted."""

@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cep.io.files import StoredCode, write_code
 from cep.io.images import read_image, write_image
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from motdiff.io.trajectories import StoredMotion, read_motion, write_motion
+from motdiff.metrics import timed_distance_px
 from motdiff.trajectory import Trajectory
 
 PATH = Trajectory.from_samples([[0, 0], [5, 0], [9, 2], [11, 6], [11, 11]])
@@ -31,15 +33,18 @@ def photos(tmp_path, monkeypatch):
 @pytest.mark.slow(reason="two blind searches and fits from all orders")
 def test_refine_writes_a_trajectory_that_says_how_sure_it_is(cep, photos):
     codes = ("--code", CODES[0], "--code", CODES[1])
-    found = cep.succeeds("refine", "one.png", "two.png", *codes, "--trajectory", "trajectory.json", "-o", "better.json")
+    times = np.linspace(0, 1, 101)
+    wave = np.stack([np.sin(2 * np.pi * times), np.cos(2 * np.pi * times)], axis=1)  # 1 px rms
+    rough = Trajectory.from_samples(PATH.at(times) + wave, t=times)
+    write_motion("rough.json", StoredMotion(rough, source={"method": "test", "path_uncertainty_px": 1.0}))
+    found = cep.succeeds("refine", "one.png", "two.png", *codes, "--trajectory", "rough.json", "-o", "better.json")
     assert {"trajectory", "kept", "confidence", "path_uncertainty_px", "direction", "seconds", "warnings"} <= set(found)
     stored = read_motion("better.json")
     assert stored.source["codes"] == list(CODES)
-    assert stored.source["path_uncertainty_px"] == found["path_uncertainty_px"] <= 0.5
+    assert stored.source["path_uncertainty_px"] == found["path_uncertainty_px"] < 1.0
+    assert (found["kept"], found["confidence"]) == ("refined", None)
     assert stored.trajectory.direction == found["direction"] == "known"
-    times = np.linspace(0, 1, 101)
-    apart = stored.trajectory.at(times) - PATH.at(times)
-    assert np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean()) < 0.4
+    assert timed_distance_px(stored.trajectory, PATH) < 0.4 < timed_distance_px(rough, PATH)
 
 
 @pytest.mark.slow(reason="a blind search")
@@ -58,7 +63,26 @@ def test_deblur_without_a_trajectory_says_first_what_was_restored(cep, photos):
         (["one.png", "two.png", "--code", CODES[0], "--trajectory", "trajectory.json"], ["--code", "1 for 2 photos"]),
         (["one.png", "--code", CODES[0], "--trajectory", "missing.json"], ["missing.json"]),
         (["missing.png", "--code", CODES[0], "--trajectory", "trajectory.json"], ["missing.png"]),
-        (["flat.png", "--code", CODES[0], "--trajectory", "trajectory.json"], ["photo 1", "the same all over"]),
+        (
+            ["flat.png", "--code", CODES[0], "--trajectory", "trajectory.json"],
+            ["cep: flat.png: the photo is the same all over"],
+        ),
+        (
+            ["one.png", "flat.png", "--code", CODES[0], "--code", CODES[1], "--trajectory", "trajectory.json"],
+            ["cep: flat.png: the photo is the same all over"],
+        ),
+        (
+            ["one.png", "two.png", "--code", "code.json", "--code", "slow.json", "--trajectory", "trajectory.json"],
+            ["code 2: its chips last 500000 ns"],
+        ),
+        (
+            ["one.png", "--code", "slow.json", "--trajectory", "trajectory.json", "--force", "-o", "slow.json"],
+            ["slow.json: is what is read"],
+        ),
+        (
+            ["one.png", "--code", CODES[0], "--trajectory", "trajectory.json", "--uncertainty", "0"],
+            ["--uncertainty: must be above 0"],
+        ),
         (["one.png", "--code", "open", "--trajectory", "trajectory.json"], ["order cannot be known"]),
         (
             ["one.png", "--code", CODES[0], "--trajectory", "trajectory.json", "-o", "one.png"],
@@ -69,6 +93,8 @@ def test_deblur_without_a_trajectory_says_first_what_was_restored(cep, photos):
 )
 def test_bad_input_is_one_line_and_writes_nothing(cep, photos, arguments, words):
     write_image("flat.png", np.full((80, 80), 0.4))
+    write_code("code.json", StoredCode(ShutterCode(CODES[0], 250_000)))
+    write_code("slow.json", StoredCode(ShutterCode(CODES[1], 500_000)))
     odd = json.loads(Path("trajectory.json").read_text())
     odd["source"]["path_uncertainty_px"] = "much"
     Path("odd.json").write_text(json.dumps(odd))

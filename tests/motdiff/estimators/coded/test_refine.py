@@ -6,6 +6,7 @@ import pytest
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.refine import PathRefiner
 from motdiff.estimators.coded.starts import orders
+from motdiff.metrics import timed_distance_px
 from motdiff.trajectory import Trajectory
 
 CODES = ("1010000111000001010000110011110111010111001001100111", "1" * 26 + "0" * 26)
@@ -25,13 +26,6 @@ class Given:
 
     def estimate(self, photo: np.ndarray) -> MotionEstimate:
         return MotionEstimate("given", (Trajectory.straight(9),), (1.0,), self.kernels.pop(0), 0.9)
-
-
-def error_px(a: Trajectory, b: Trajectory) -> float:
-    """Rms distance at equal times, after the best shift."""
-    t = np.linspace(0, 1, 401)
-    apart = a.at(t) - b.at(t)
-    return float(np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
 def bent(path: Trajectory, error: float) -> Trajectory:
@@ -56,21 +50,21 @@ def refined(taken, paths, photos=2, **options):
 @pytest.mark.parametrize("error", [0.5, 1.5])
 def test_two_photos_take_most_of_the_error_away(taken, error) -> None:
     found = refined(taken, [bent(loop_path(), error)])[0]
-    assert error_px(found.trajectory, loop_path()) < 0.25 * error
+    assert timed_distance_px(found.trajectory, loop_path()) < 0.25 * error
     assert found.misfit < 1.1 < found.given_misfit
     assert found.deviation_px < 0.3
 
 
 def test_the_true_path_stays_where_it_is(taken) -> None:
     found = refined(taken, [loop_path()])[0]
-    assert error_px(found.trajectory, loop_path()) < 0.15
+    assert timed_distance_px(found.trajectory, loop_path()) < 0.15
     assert found.given_misfit - found.misfit < 0.05
 
 
 def test_one_photo_and_an_exact_kernel(taken) -> None:
     given = bent(loop_path(), 0.8)
     found = refined(taken, [given], photos=1)
-    assert min(error_px(one.trajectory, loop_path()) for one in found) < 0.4
+    assert min(timed_distance_px(one.trajectory, loop_path()) for one in found) < 0.4
     assert all(np.isnan(one.misfit) and one.values == 0 for one in found)
 
 
@@ -79,7 +73,7 @@ def test_of_all_orders_the_true_one_is_first(taken) -> None:
     given = [Trajectory.from_samples(xy) for xy in orders(bent(loop_path(), 0.5), knots=201, most=24)]
     assert len(given) == 4
     found = refined(taken, given[1:] + given[:1])
-    assert error_px(found[0].trajectory, loop_path()) < 0.2
+    assert timed_distance_px(found[0].trajectory, loop_path()) < 0.2
     assert found[0].cost < found[1].cost
 
 
@@ -87,7 +81,7 @@ def test_the_prior_holds_the_path(taken) -> None:
     """With a small expected error no photo moves it far."""
     given = bent(loop_path(), 1.0)
     found = refined(taken, [given], photos=1, deviation_px=0.02)[0]
-    assert error_px(found.trajectory, given) < 0.1
+    assert timed_distance_px(found.trajectory, given) < 0.1
 
 
 def test_what_lies_between_the_knots_stays(taken) -> None:
