@@ -11,7 +11,7 @@ from torch import Tensor
 
 from motdiff.estimators.coded.exposures import Exposures
 from motdiff.estimators.coded.fit import KNOTS, PhotoFit
-from motdiff.estimators.coded.found import UNEXPLAINED, FoundPath, expected_deviation_px
+from motdiff.estimators.coded.found import FoundPath, expected_deviation_px
 from motdiff.estimators.coded.misfit import SceneSpectra, Term, descend
 from motdiff.estimators.coded.starts import bridged, crossed, decoded_paths, loop_reversals, orders
 from motdiff.motions import boracchi_foi
@@ -28,6 +28,7 @@ _ROUNDS, _FINE_ROUNDS, _STILL = 6, 3, 2
 _IMPROVED = 0.98
 
 # the search beside the photos alone
+_DOUBTFUL = 1.0  # misfit; right paths have 0.6 to 0.97 on simulated walks
 _FEW_PHOTOS = 2  # their kernels mislead too often to be all that a search begins from
 _FEW_KNOTS = 27  # half as many unknowns make a step twice as cheap
 _LONE_WALKS, _USUAL_PX = 96, 50.0
@@ -69,7 +70,7 @@ def find_paths(
         wide, times = _widely_searched(exposures, spectra, rng, known=search.paths(x), spend=search.spend)
         return search.finished(wide), times
     found, times = search.run(x), 1
-    if found[0].misfit > UNEXPLAINED:
+    if found[0].misfit > _DOUBTFUL:
         told.expect_more(2 * cost)
         known = np.stack([path.path for path in found])
         wide, again = _widely_searched(
