@@ -54,7 +54,7 @@ from cep.cli.options import (
     output_option,
 )
 from cep.cli.search_run import SearchRun
-from cep.workflows.search_options import SearchOptions, Task, ending, task_of
+from cep.workflows.search_options import SearchOptions, Task, ending, openings, task_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -302,7 +302,7 @@ def _show(console: Console, *, best: Optimum, file: Path) -> None:
 
     code, found, straight = best.code, best.found, best.along is None
     console.print(f"{file}: {code.bits}")
-    light = f"{code.open_chips} of {code.chips} chips open, {code.pulses} openings"
+    light = f"{code.open_chips} of {code.chips} chips open, {openings(code)}"
     console.print(f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}")
     heads = (figure_head(*item) for item in best.comparison[0].figures.items())
     columns = ("code", "open", "min |P|, chips" if straight else "min MTF", "noise gain, dB", "MSE, dB", *heads)

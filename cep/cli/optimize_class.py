@@ -10,7 +10,7 @@ import typer
 
 from cep.cli.console import table
 from cep.cli.options import MOTION
-from cep.workflows.search_options import ending
+from cep.workflows.search_options import ending, openings
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -115,7 +115,7 @@ def _show(console: Console, *, best: ClassOptimum, file: Path) -> None:
     code, found = best.code, best.found
     console.print(best.verdict)
     console.print(f"{file}: {code.bits}")
-    light = f"{code.open_chips} of {code.chips} chips open, {code.pulses} openings"
+    light = f"{code.open_chips} of {code.chips} chips open, {openings(code)}"
     console.print(f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}")
     unseen = best.others > 0
     rows = [

@@ -142,12 +142,23 @@ class ClassOptimum:
         return self.rows[0].code
 
     @property
+    def unsearched(self) -> bool:
+        """Whether the time or Ctrl-C ended the search before its first move."""
+        return self.found.steps == 0 and self.found.stopped in ("time", "interrupted")
+
+    @property
     def verdict(self) -> str:
         """What to do, and what it gains over the best snapshot and over the best published code: one or two sentences.
 
         Nothing is recommended that loses to a row of the table.
         """
         code, rivals = self.code, self.rows[1:]
+        if self.unsearched:
+            ended = "Ctrl-C ended it" if self.found.stopped == "interrupted" else f"{self.how.limit_s:g} s passed"
+            return (
+                f"Nothing was searched: {ended} before the first move. This code is only the best of those that "
+                "it is compared with; give the search more time by --time, or moves by --steps."
+            )
         where = f"in the mean over {self.others or self.motions} motions"
         where += " that the search has not seen" if self.others else ""
         gains = [
@@ -400,7 +411,7 @@ def optimize_class(
     >>> walks, unseen = (draw_motions(count, length_px=20.0, rng=rng) for count in (4, 2))
     >>> problem = SearchProblem(chips=8, open_range=(4, 4), objective="mse")
     >>> best = optimize_class(walks, problem, Search(steps=500), others=unseen)
-    >>> best.code.open_chips, best.rows[0].mean_db <= min(row.mean_db for row in best.rows if row.within_limits)
+    >>> best.code.open_chips, best.rows[0].others_db <= min(row.others_db for row in best.rows if row.within_limits)
     (4, True)
     """
     problem = replace(problem, scenarios=class_scenarios(motions), rule="mean", direction="forward")

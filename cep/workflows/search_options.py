@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from cep.optics.camera import Camera
+    from cep.optics.code import ShutterCode
     from cep.search.limits import RunLimits
     from cep.search.problem import Scenario, SearchProblem
     from cep.workflows.optimize import Search
@@ -231,6 +232,11 @@ def task_of(
         **described_search(problem, how),
     }
     return Task(problem, motion, described)
+
+
+def openings(code: ShutterCode) -> str:
+    """Say in words how often a code opens."""
+    return f"{code.pulses} opening{'' if code.pulses == 1 else 's'}"
 
 
 def ending(stopped: str, steps: int) -> str:

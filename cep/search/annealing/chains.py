@@ -142,13 +142,15 @@ class Crew:
                 while waiting:
                     _, waiting = wait(waiting, timeout=_TICK_S, return_when=FIRST_COMPLETED)
                     now = sum(made)
-                    if not tick(now - told):
+                    news, told = now - told, now
+                    if not tick(news):
                         break
-                    told = now
             finally:
                 stop.set()
                 for job in jobs:
                     offer(job.result())
+            if (late := sum(made) - told) > 0:  # a stopped chain ends its slice first
+                tick(late)
 
     def _cooling(self, plan: Cooling) -> Iterator[tuple[int, Codes]]:
         """Yield the moves made and the best codes after every slice."""

@@ -1,5 +1,6 @@
 """One code for a class of motions: mean decibels against brute force, invariances, what is refused."""
 
+import time
 from dataclasses import replace
 from itertools import combinations
 
@@ -11,10 +12,12 @@ from cep.optics.band import band_samples
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import mtf
+from cep.search.annealing import anneal
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import MOST_SCENARIOS, class_scenarios
 from cep.workflows.optimize import Search
 from cep.workflows.optimize_class import check_class, draw_motions, optimize_class, per_motion_db
+from cep.workflows.search_options import openings
 from motdiff.gyro import GyroTrace
 from motdiff.trajectory import Trajectory
 
@@ -96,6 +99,35 @@ def test_the_verdict_recommends_nothing_that_loses_to_its_own_table():
     snapshot = next(row for row in noise.rows if row.name == "best snapshot")
     assert f"{snapshot.behind_db:.2f} dB" in noise.verdict
     assert "published code raskar-52" in noise.verdict
+
+
+def test_a_search_whose_samples_take_longer_than_its_time_makes_moves(monkeypatch):
+    real = anneal.Objective
+
+    def slow(*given, **options):
+        time.sleep(0.5)
+        return real(*given, **options)
+
+    monkeypatch.setattr(anneal, "Objective", slow)
+    best = optimize_class(WALKS, PROBLEM, Search(time_s=0.4), threads=1)
+    assert best.found.stopped == "time"
+    assert best.found.steps > 0
+    assert not best.unsearched
+    assert "Nothing was searched" not in best.verdict
+
+
+@pytest.mark.parametrize(("stopped", "said"), [("time", "7 s passed"), ("interrupted", "Ctrl-C ended it")])
+def test_where_no_move_was_made_the_verdict_recommends_nothing(stopped, said):
+    best = optimize_class(WALKS, PROBLEM, Search(steps=500), threads=1)
+    none = replace(best, how=Search(time_s=7.0), found=replace(best.found, steps=0, stopped=stopped))
+    assert none.verdict.startswith(f"Nothing was searched: {said} before the first move.")
+    assert "--time" in none.verdict
+    # where there is one code only, nothing needs a search
+    assert "Nothing" not in replace(none, found=replace(none.found, stopped="complete")).verdict
+
+
+def test_one_opening_is_not_called_openings():
+    assert [openings(ShutterCode(bits)) for bits in ("0110", "0101")] == ["1 opening", "2 openings"]
 
 
 def test_drawn_motions_are_of_the_length_asked_for():
