@@ -16,6 +16,7 @@ __all__ = [
     "LEAST_PX",
     "best_crops",
     "blur_differs_warning",
+    "brightened",
     "check_size",
     "clipped_mask",
     "luminance",
@@ -33,6 +34,7 @@ LEAST_PX = 48
 CLIPPED_LEVEL = 0.98  # JPEG and demosaicing leave a clipped area a little below full scale
 _CLIPPED_SHARE = 0.02  # a crop with this share of clipped pixels is used only when there is nothing else
 _OVERLAP_SHARE = 0.25
+_FULL, _DARKEST = 0.95, 1e-6  # a dim photo is brightened up to the first
 _WHOLE = 1.25  # a photo larger than a crop by up to this is taken whole
 
 
@@ -72,6 +74,29 @@ def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:
     if np.ptp(grey) == 0:
         raise ValueError("photo: is constant; motion shows only where the scene has texture")
     return grey
+
+
+def brightened(grey: FloatArray, *, open_share: float) -> FloatArray:
+    """Brighten a dim photo for a blind search: to what an open shutter would have given, without clipping.
+
+    Parameters
+    ----------
+    grey : (H, W) float, linear light 0..1
+    open_share : float
+        Share of the exposure, above 0 and up to 1, in which its shutter was open.
+
+    Returns
+    -------
+    (H, W) float; the photo itself, times 1 or more
+
+    Examples
+    --------
+    >>> dim = np.array([[0.1, 0.2]])
+    >>> brightened(dim, open_share=0.5), brightened(dim, open_share=0.1)
+    (array([[0.2, 0.4]]), array([[0.475, 0.95 ]]))
+    """
+    brightest = max(float(grey.max(initial=0.0)), _DARKEST)
+    return grey * max(1.0, min(1 / open_share, _FULL / brightest))
 
 
 def check_size(photo: ArrayLike, *, least_px: int) -> None:

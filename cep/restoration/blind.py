@@ -1,7 +1,8 @@
 """The PSF of a photo, found in the photo alone.
 
 A coded photo's own kernel restores better than the PSF of a path that is fitted to it along the code: one photo seldom
-tells the order in time, and a wrong order has a wrong PSF (docs/decisions/restoration.md).
+tells the order in time, and a wrong order has a wrong PSF (docs/decisions/restoration.md). Where the blur outgrows the
+search, though, the photo is made smaller, and the PSF is that of a path drawn through the small kernel.
 """
 
 from __future__ import annotations
@@ -13,14 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cep.optics.code import ShutterCode
-from motdiff.crops import luminance
+from motdiff.crops import brightened, luminance
 
 __all__ = ["FoundPsf", "find_psf"]
 
 FloatArray = NDArray[np.float64]
-_FULL = 0.95  # dim photos are brightened for the search up to this
 _LOST = 0.5
-_OF_THE_PATH = ("the path found", "the blind estimate")  # warnings for those who want a path
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,8 @@ class FoundPsf:
     Attributes
     ----------
     psf : (S, S) float ndarray
-        Light-true, zero displacement at index ``S // 2``.
+        Light-true, zero displacement at index ``S // 2``. The kernel found; where the photo was made smaller for the
+        search, which a warning says, the PSF of the path traced through that kernel, at full size.
     confidence : float
         Probability that it is near the true one (MNC of 0.7 or more).
     warnings : tuple of str
@@ -63,9 +63,8 @@ def find_psf(
 
     grey = luminance(photo)
     duty = 1.0 if code is None else code.duty
-    brighter = max(1.0, min(1 / duty, _FULL / max(float(grey.max(initial=0.0)), 1e-6)))
-    found = PmpEstimator(progress=progress).estimate(brighter * grey)
-    warnings = [line for line in found.warnings if not line.startswith(_OF_THE_PATH)]
+    found = PmpEstimator(progress=progress).estimate(brightened(grey, open_share=duty))
+    warnings = list(found.psf_warnings)
     if found.confidence < _LOST:
         warnings.insert(
             0,

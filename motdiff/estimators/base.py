@@ -34,6 +34,8 @@ class MotionEstimate:
         Warnings for the user, one sentence each.
     details : dict
         Figures behind the estimate (JSON-able), for the report.
+    psf_warnings : tuple of str
+        Those of the ``warnings`` that are for users of the PSF, too, whatever its path and confidence are.
     """
 
     method: str
@@ -43,6 +45,7 @@ class MotionEstimate:
     confidence: float
     warnings: tuple[str, ...] = ()
     details: dict[str, object] = field(default_factory=dict)
+    psf_warnings: tuple[str, ...] = ()
 
     @property
     def best(self) -> Trajectory:

@@ -187,7 +187,8 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
     if level.factor == 1:
         psf = in_frame(kernels[found.best], max(PSF_PX, len(kernels[found.best]) + 1))
         psf = psf / psf.sum()
-    warnings = [*found.warnings, *([] if uneven is None else [uneven])]
+    of_the_psf = [*found.warnings, *([] if uneven is None else [uneven])]
+    warnings = list(of_the_psf)
     confidence = found.confidence
     length_px, extent_px = trajectories[0].length_px, trajectories[0].extent_px
     if length_px > max(_WEB_PX * level.factor, _WEB_TURNS * extent_px):  # the limit is in pixels of what was searched
@@ -207,7 +208,9 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
             "take a photo with more texture, or use the methods reference or point"
         )
     if level.factor > 1:
-        warnings.append(f"the motion was estimated on the photo at 1/{level.factor} of its size, where it shows better")
+        smaller = f"the motion was estimated on the photo at 1/{level.factor} of its size, where it shows better"
+        warnings.append(smaller)
+        of_the_psf.append(smaller)
     return MotionEstimate(
         method=method,
         trajectories=tuple(trajectories),
@@ -221,6 +224,7 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
             **found.details,
             "trajectory_psf_mnc": mnc_subpixel(psf, drawn),
         },
+        psf_warnings=tuple(of_the_psf),
     )
 
 

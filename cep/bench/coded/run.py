@@ -459,13 +459,13 @@ def motion_version(kind: str) -> str:
     if kind in ESTIMATORS:
         module, weights = _ESTIMATED[ESTIMATORS[kind]]
         return source_version([module, *shared], alone=[*_EXPOSED, "motdiff.evaluation.methods"], files=[weights])
-    module = "motdiff.estimators.point" if kind == POINT else "motdiff.estimators.coded.estimator"
+    module = f"motdiff.estimators.coded.{'trail_estimator' if kind == POINT else 'estimator'}"
     return source_version([module, *shared], alone=[*_EXPOSED, _CALIBRATIONS])
 
 
 def kernel_version() -> str:
     """Cache version of the kernels found in the photos themselves."""
-    used = ["motdiff.estimators.pmp", "motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
+    used = ["cep.restoration.blind", "motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
     return source_version(used, alone=_EXPOSED)
 
 

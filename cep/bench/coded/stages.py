@@ -22,7 +22,7 @@ from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.proofs.measure import CodeMetrics, measure
-from cep.restoration import restore
+from cep.restoration import find_psf, restore
 from cep.restoration.direction import detect_direction
 from motdiff.io.plugins import is_reference
 from motdiff.metrics import laid_on, mnc_subpixel, psnr_ssim_up_to_shift
@@ -47,7 +47,6 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 _ZERO = 1e-9
-_FULL, _DARKEST = 0.95, 1e-6  # a dark photo is brightened up to this, as the estimator of coded photos does
 _CROP_PX = 32  # left out of every comparison: restored borders lean on a guess
 
 
@@ -154,25 +153,22 @@ def _photo_through(scene: FloatArray, psf: FloatArray, *, borders: str, camera: 
 def find_kernel(
     scene: ArrayLike, motion: str, *, bits: str, borders: str, light_true: bool, camera: Mapping[str, Any], seed: int
 ) -> dict[str, float | str]:
-    """Find the kernel in the photo of :func:`take_photo`, whose parameters these are, from this photo alone.
+    """Find the kernel in the photo of :func:`take_photo`, whose parameters these are, as ``cep deblur`` does.
 
     Returns
     -------
     dict with ``psf`` of sum 1 (:func:`cep.bench.psf_text.psf_to_text`), ``mnc`` (sub-pixel), ``confidence``, ``cpu_s``
     """
-    from motdiff.estimators.pmp import PmpEstimator
-
     truth, code = paths_from(motion)[0][0], ShutterCode(bits)
     psf = coded_psf(truth, code, PSF_PX)
-    light = code.duty if light_true else 1.0
+    scale = 1.0 if light_true else 1 / code.duty
     photo = _photo_through(
-        np.asarray(scene, dtype=np.float64), light / code.duty * psf, borders=borders,
+        np.asarray(scene, dtype=np.float64), scale * psf, borders=borders,
         camera=Camera.from_dict(camera), seed=seed,
     )  # fmt: skip
-    brightened = photo * max(1.0, min(1 / light, _FULL / max(float(photo.max()), _DARKEST)))
     started = time.process_time()
     with one_thread():
-        found = PmpEstimator().estimate(np.clip(brightened, 0, 1))
+        found = find_psf(photo, code if light_true else None)  # None: as much light as an open shutter has
     return {
         "psf": psf_to_text(found.psf),
         "mnc": mnc_subpixel(found.psf, psf),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from motdiff.crops import LEAST_PX, pick_crops, textured_luminance
+from motdiff.crops import LEAST_PX, brightened, pick_crops, textured_luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.misfit import SceneSpectra, scene_spectra
@@ -21,7 +21,6 @@ __all__ = ["Exposures", "exposures_of"]
 
 FloatArray = NDArray[np.float64]
 
-_FULL = 0.95  # photos are brightened for the kernel search up to this
 _SAME_SCENE = 0.8  # correlation of what two photos show beyond their blur
 _BLUR_PX = 12.0
 _TRUSTED = 0.5  # confidence in a kernel
@@ -138,7 +137,7 @@ def _kernels_of(
 
     estimates = []
     for grey, code in zip(greys, codes, strict=True):
-        bright = grey * max(1.0, min(len(code) / code.count("1"), _FULL / max(float(grey.max()), 1e-6)))
+        bright = brightened(grey, open_share=code.count("1") / len(code))
         estimates.append(estimator(progress.piece(cost / len(greys))).estimate(bright))
     return estimates
 

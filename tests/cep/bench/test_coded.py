@@ -15,7 +15,7 @@ import pytest
 from scipy import ndimage
 from skimage import data
 
-from cep.bench.coded import protocol
+from cep.bench.coded import protocol, run
 from cep.bench.coded.calibrations import (
     CALIBRATIONS,
     POINT,
@@ -41,6 +41,9 @@ from cep.proofs.measure import measure
 from cep.restoration.wiener import wiener
 from cep.search import recipe
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.coded.estimator import CodedEstimator
+from motdiff.estimators.coded.trail_estimator import TrailEstimator
+from motdiff.metrics import timed_distance_px
 from motdiff.motions import boracchi_foi
 from motdiff.psf_frame import PSF_PX, centroid_px, moved
 from motdiff.simulate import visible
@@ -429,11 +432,12 @@ def test_each_design_minimises_what_it_should():
         ("oracle", known),
         ("parametric-oracle", known),
         ("calibrated-4", ordered),
+        ("calibrated-point", ordered),
     ]:
         assert along[chosen(design, prior, **limits).bits][0] == pytest.approx(
             min(a for a, _ in along.values()), abs=0.05
         )
-    for design in ("both-ways", "parametric", "calibrated-point"):  # a point light tells no direction
+    for design in ("both-ways", "parametric", "calibrated-point"):  # the direction of this path is not known
         found = along[chosen(design, known, **limits).bits]
         assert max(found) == pytest.approx(min(map(max, along.values())), abs=0.05)
     # a posterior weighs its paths: of a sure one nothing else is left
@@ -946,12 +950,30 @@ def test_calibrated_rows_are_measured_where_they_are_named():
     assert {"both-ways", "oracle", "class"} <= set(USUAL_DESIGNS)
 
 
-def test_a_point_light_shows_the_path_but_not_its_direction():
-    found = motion_from_light(motion=paths_to([BENT], [1.0]), camera=Camera().to_dict(), seed=0)
-    (path,), _ = paths_from(found["paths"])
-    assert path.direction == "unknown"
-    assert found["error_px"] < 1
+def test_a_point_light_through_a_code_shows_the_path_and_its_direction():
+    angle = np.linspace(0, np.pi / 2, 60)
+    arc = Trajectory.from_samples(10 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]), direction="known")
+    found = motion_from_light(motion=paths_to([arc], [1.0]), camera=Camera().to_dict(), seed=0)
+    path = paths_from(found["paths"])[0][0]
+    assert path.direction == "known"
+    assert found["error_px"] == pytest.approx(timed_distance_px(path, arc), abs=1e-3)
+    assert found["error_px"] < 0.3
+    assert timed_distance_px(path.reversed(), arc) > 3
     assert found["mnc"] > 0.95
+
+
+def test_edits_of_what_finds_a_calibrated_path_count(monkeypatch):
+    real, seen = run.source_version, []
+
+    def watched(modules, **others):
+        seen.extend(modules)
+        return real(modules, **others)
+
+    monkeypatch.setattr(run, "source_version", watched)
+    versions = {motion_version(kind) for kind in (POINT, "one coded")}
+    assert len(versions) == 2
+    assert TrailEstimator.__module__ in seen
+    assert CodedEstimator.__module__ in seen
 
 
 # -- restored blind ---------------------------------------------------------------------------------------------------
@@ -973,6 +995,9 @@ class Finder:
 
     photos: ClassVar[list[np.ndarray]] = []
 
+    def __init__(self, progress=None):
+        pass
+
     def estimate(self, photo):
         self.photos.append(photo)
         dot = np.zeros((64, 64))
@@ -993,7 +1018,7 @@ def test_kernels_are_searched_in_the_photos_that_are_restored(tmp_path, two_phot
         duty = ShutterCode(shot.bits).duty
         level = searched.max() / taken.photo.max()
         assert 1 <= level <= 1 / duty + 1e-9
-        np.testing.assert_allclose(searched, np.clip(level * taken.photo, 0, 1), atol=1e-12)
+        np.testing.assert_allclose(searched, level * taken.photo, atol=1e-12)
         target = visible(sharp_scene(shot.arguments["photo"], shot.arguments["cut"]), PSF_PX)
         assert taken.target.shape == target.shape
         assert 0 < shot.figures["kernel_mnc"] < 1

@@ -44,8 +44,8 @@ def test_a_lost_psf_is_said_to_be_lost(monkeypatch):
     from motdiff.estimators.pmp import PmpEstimator
 
     def lost(_self, photo):
-        warnings = ("the path found is tangled", "the blind estimate is probably lost", "the blur differs")
-        return MotionEstimate("pmp", (PATH,), (1.0,), PATH.psf(), 0.2, warnings)
+        said = ("of its path", "of its PSF")
+        return MotionEstimate("pmp", (PATH,), (1.0,), PATH.psf(), 0.2, said, psf_warnings=said[1:])
 
     monkeypatch.setattr(PmpEstimator, "estimate", lost)
     found = blind.find_psf(PHOTO, CODE)
@@ -53,7 +53,7 @@ def test_a_lost_psf_is_said_to_be_lost(monkeypatch):
     assert found.confidence == 0.2
     first, second = found.warnings
     assert "may be worse" in first
-    assert second == "the blur differs"
+    assert second == "of its PSF"
     assert restore(PHOTO, code=CODE).warnings[0] == first
 
 

@@ -191,6 +191,7 @@ def test_a_blur_that_outgrows_the_search_is_tried_at_half_size():
     assert estimate.details["answer"] == 2
     assert estimate.confidence == SURE
     assert estimate.warnings == ("the motion was estimated on the photo at 1/2 of its size, where it shows better",)
+    assert estimate.psf_warnings == estimate.warnings
     assert estimate.trajectories[0].length_px == pytest.approx(36, rel=0.06)
     assert mnc_subpixel(estimate.psf, line(36, side=65)) > 0.97
     assert estimate.psf.shape == (64, 64)
@@ -286,6 +287,7 @@ def test_a_web_is_no_motion_however_sure_the_search_is():
     said, lost = estimate.warnings
     assert "px: more a web of noise than a motion" in said
     assert lost.startswith("the blind estimate is probably lost (confidence 0.20)")
+    assert estimate.psf_warnings == ()
     assert estimate.confidence == 0.2
     long, _ = found_in(noise(100, 100), FakeSearch((line(34), 0.98)))
     assert (long.confidence, long.warnings) == (0.98, ())
