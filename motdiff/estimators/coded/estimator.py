@@ -20,7 +20,7 @@ __all__ = ["CodedEstimator"]
 _KERNEL_SHARE, _FIT_SHARE = 0.45, 0.55  # of the time
 # on simulated walks: how often the path is right, by number of photos; and the ratio of true to computed error
 # (docs/decisions/motion-estimation.md)
-_SHARE_RIGHT, _ERROR_RATIO = (0.05, 0.75, 0.67, 0.93), 2.8
+_SHARE_RIGHT, _ERROR_RATIO = (0.05, 0.75, 0.67, 0.88), 2.8
 _TWO_VAGUE, _TWO_ALONE = 0.3, 0.2  # two photos whose path is known less exactly; whose searches end apart
 _VAGUE_PX = 0.25
 _ALMOST_EQUAL = 1e-3
