@@ -31,12 +31,13 @@ class CodedEstimator:
 
     The kernel of each photo is searched on its own. Paths decoded from them, orders of the traced path and random
     walks are fitted to the kernels, crossed with each other, and fitted to the photos themselves where these show one
-    scene: what one photo shows through the PSF of another must be what the other shows through its own.
+    scene: what one photo shows through the PSF of another must be what the other shows through its own. Two photos,
+    and more whose best path leaves more than noise, are searched without the kernels too, until two searches agree.
 
     ``confidence`` is the probability that the order is right: the share of simulated motions of which it was, with as
     many photos through codes as ``cep calibration-set`` designs them. ``details`` hold it as ``order_confidence``, the
-    expected error ``path_uncertainty_px`` (rms over time) and ``deviation_px`` at evenly spaced times. ``weights`` are
-    relative among the paths found.
+    expected error ``path_uncertainty_px`` (rms over time), ``deviation_px`` at evenly spaced times and
+    ``searches_agreeing``. ``weights`` are relative among the paths found.
 
     Parameters
     ----------

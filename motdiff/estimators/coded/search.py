@@ -46,8 +46,8 @@ def find_paths(
 ) -> tuple[list[FoundPath], int]:
     """Find the paths that explain the photos best.
 
-    Where none does, some kernel was wrong: the search goes on from random walks and without the kernels. With two
-    photos that is done at once.
+    Where the best one leaves more than noise, some kernel may be wrong: the search goes on from random walks and
+    without the kernels. With two photos that is done at once.
 
     Parameters
     ----------
@@ -67,16 +67,12 @@ def find_paths(
     search = _Search(exposures, spectra, rng, spend=lambda share: told.spend(share * cost))
     x = search.from_kernels()
     if spectra and len(exposures.codes) == _FEW_PHOTOS:
-        wide, times = _widely_searched(exposures, spectra, rng, known=search.paths(x), spend=search.spend)
-        return search.finished(wide), times
+        return _found_widely(search, spectra, known=search.paths(x), spend=search.spend)
     found, times = search.run(x), 1
     if found[0].misfit > _DOUBTFUL:
         told.expect_more(2 * cost)
         known = np.stack([path.path for path in found])
-        wide, again = _widely_searched(
-            exposures, spectra, rng, known=known, spend=lambda share: told.spend(2 * share * cost)
-        )
-        other = search.finished(wide)
+        other, again = _found_widely(search, spectra, known=known, spend=lambda share: told.spend(2 * share * cost))
         if other[0].misfit < found[0].misfit:
             found, times = other, again
     return found, times
@@ -187,6 +183,17 @@ class _Search(PhotoFit):
             deviation_px = np.sqrt(0.5 * unexplained) * expected_deviation_px(self.unknowns, terms, one[None])
             found.append(FoundPath(path, cost, misfit, deviation_px))
         return found
+
+
+def _found_widely(
+    search: _Search, spectra: Sequence[SceneSpectra], *, known: FloatArray, spend: Callable[[float], None]
+) -> tuple[list[FoundPath], int]:
+    """Paths of the search beside the photos alone, best first, and how many of its searches ended at the best."""
+    wide, times = _widely_searched(search.exposures, spectra, search.rng, known=known, spend=spend)
+    found = search.finished(wide)
+    apart = found[0].path - wide[0]
+    moved_px = np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean())
+    return found, times if moved_px < _SAME_PX else 1  # in the finest details another path may be the best
 
 
 def _widely_searched(
