@@ -12,11 +12,13 @@ from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.found import FoundPath, explained_share, motion_of_paths
+from motdiff.estimators.coded.starts import orders
 from motdiff.estimators.coded.trail_search import Trails, find_trail_paths
 from motdiff.estimators.point import background_light
 from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX
 from motdiff.threads import one_thread_a_call
+from motdiff.trajectory import Trajectory
 
 __all__ = ["TrailEstimator"]
 
@@ -32,6 +34,7 @@ _MODEL_ERROR = 0.02  # of a pixel's light: the spot is no Gaussian, the pixels d
 _MOST_CLIPPED = 0.2
 # on simulated motions: docs/decisions/motion-estimation.md
 _AGREED, _ALONE = 0.95, 0.3
+_FOLDED = 0.6  # one photo of a path that meets itself, where two searches agree
 _ERROR_RATIO = 1.5
 
 
@@ -43,8 +46,8 @@ class TrailEstimator:
     fine, until two searches end at one path.
 
     ``confidence`` is the probability that the order is right: the share of simulated motions of which it was, where two
-    searches agreed or none did, less what other paths found explain as well. ``details`` are as those of
-    :class:`motdiff.estimators.coded.estimator.CodedEstimator`.
+    searches agreed or none did, less on one photo of a path that meets itself, and less what other paths found explain
+    as well. ``details`` are as those of :class:`motdiff.estimators.coded.estimator.CodedEstimator`.
 
     Parameters
     ----------
@@ -109,7 +112,7 @@ class TrailEstimator:
                 sigmas=tuple(sigma for _, sigma in cut),
             )
             found, times = find_trail_paths(trails, rng=np.random.default_rng(self._seed), progress=progress)
-            estimate = _described(found, times)
+            estimate = _described(found, times, photos=len(photos))
             progress.finish()
             return estimate
 
@@ -147,11 +150,13 @@ def _trail(photo: ArrayLike) -> tuple[FloatArray, FloatArray]:
     return np.where(others, 0.0, image), sigma
 
 
-def _described(found: Sequence[FoundPath], times: int) -> MotionEstimate:
+def _described(found: Sequence[FoundPath], times: int, *, photos: int) -> MotionEstimate:
     best = found[0]
+    folded = len(orders(Trajectory.from_samples(best.path), knots=len(best.path), most=4)) > 2
+    agreed = _FOLDED if folded and photos == 1 else _AGREED
     excess = np.array([0.5 * (other.cost - best.cost) / max(1.0, best.misfit) for other in found[1:]])
     likely = np.exp(-np.minimum(excess, 700))
-    share = (_AGREED if times > 1 else _ALONE) * explained_share(best.misfit)
+    share = (agreed if times > 1 else _ALONE) * explained_share(best.misfit)
     return motion_of_paths(
         "point",
         found,
