@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from motdiff.estimators.coded.exposures import Exposures
-from motdiff.estimators.coded.found import apart_px, distinct
+from motdiff.estimators.coded.found import distinct
 from motdiff.estimators.coded.misfit import (
     KernelTerm,
     Roughness,
@@ -90,10 +90,6 @@ class PhotoFit:
     def paths(self, x: Tensor) -> FloatArray:
         """Paths (B, K, 2) of candidates."""
         return self.unknowns.paths(x).numpy().astype(np.float64)
-
-    def apart_px(self, one: Tensor, other: Tensor) -> float:
-        """Rms distance of the paths of two candidates (N,), after the best shift."""
-        return apart_px(self.unknowns, one, other)
 
     def distinct(self, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
         """Best candidates, none near a better one."""

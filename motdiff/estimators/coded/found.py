@@ -22,6 +22,7 @@ __all__ = [
     "distinct",
     "expected_deviation_px",
     "explained_share",
+    "merged",
     "motion_of_paths",
     "unexplained_warnings",
 ]
@@ -88,6 +89,19 @@ def distinct(
         if len(kept) == keep:
             break
     return x[kept], costs[kept]
+
+
+def merged(
+    unknowns: Unknowns, ends: Sequence[tuple[Tensor, Tensor]], *, keep: int, same_px: float
+) -> tuple[Tensor, Tensor, int]:
+    """Join the ends of several searches, each candidates and their costs, best first.
+
+    Returns
+    -------
+    Best distinct candidates, their costs, and how many searches ended within ``same_px`` of the best
+    """
+    x, costs = distinct(unknowns, *(torch.cat(parts) for parts in zip(*ends, strict=True)), keep=keep)
+    return x, costs, sum(apart_px(unknowns, x[0], best[0]) < same_px for best, _ in ends)
 
 
 def expected_deviation_px(unknowns: Unknowns, terms: Sequence[Term], candidate: Tensor) -> FloatArray:

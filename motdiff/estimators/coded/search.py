@@ -11,7 +11,7 @@ from torch import Tensor
 
 from motdiff.estimators.coded.exposures import Exposures
 from motdiff.estimators.coded.fit import KNOTS, PhotoFit
-from motdiff.estimators.coded.found import FoundPath, expected_deviation_px
+from motdiff.estimators.coded.found import FoundPath, expected_deviation_px, merged
 from motdiff.estimators.coded.misfit import SceneSpectra, Term, descend
 from motdiff.estimators.coded.starts import bridged, crossed, decoded_paths, loop_reversals, orders
 from motdiff.motions import boracchi_foi
@@ -212,12 +212,10 @@ def _widely_searched(
     share = 0.85 / _MOST_SEARCHES
     begun = _with_knots(known, _FEW_KNOTS)
     ends: list[tuple[Tensor, Tensor]] = []
-    times = 1
     for done in range(1, _MOST_SEARCHES + 1):
         ends.append(_wide_search(fit, begun, rng, spend=lambda part: spend(share * part)))
         begun = begun[:0]
-        x, _ = fit.distinct(*(torch.cat(parts) for parts in zip(*ends, strict=True)), keep=_KEPT_OF_WIDE)
-        times = sum(fit.apart_px(x[0], best[0]) < _SAME_PX for best, _ in ends)
+        x, _, times = merged(fit.unknowns, ends, keep=_KEPT_OF_WIDE, same_px=_SAME_PX)
         if times > 1:
             spend(share * (_MOST_SEARCHES - done))
             break

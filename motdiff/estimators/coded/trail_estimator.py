@@ -23,7 +23,6 @@ from motdiff.trajectory import Trajectory
 __all__ = ["TrailEstimator"]
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _GAP_PX = 12  # a trail's parts lie no further apart: closed chips
 _MARGIN_PX = 7

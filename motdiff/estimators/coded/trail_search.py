@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, optimize
 from torch import Tensor
 
-from motdiff.estimators.coded.found import UNEXPLAINED, FoundPath, apart_px, distinct, expected_deviation_px
+from motdiff.estimators.coded.found import UNEXPLAINED, FoundPath, apart_px, distinct, expected_deviation_px, merged
 from motdiff.estimators.coded.misfit import Roughness, Term, descend
 from motdiff.estimators.coded.starts import bridged, crossed, loop_reversals, orders
 from motdiff.estimators.coded.trail_term import TrailTerm, TrailUnknowns
@@ -79,19 +79,17 @@ def find_trail_paths(
     told = progress or Progress()
     search = _TrailSearch(trails, rng)
     ends: list[tuple[Tensor, Tensor]] = []
-    times = 1
     for done in range(_SEARCHES):
         ends.append(search.evolved(search.begun(traced=not done)))
         told.spend(cost / (_SEARCHES + 1))
-        x, costs = search.distinct(*(torch.cat(parts) for parts in zip(*ends, strict=True)), keep=_POPULATION)
-        times = sum(search.apart_px(x[0], best[0]) < _SAME_PX for best, _ in ends)
+        x, costs, times = merged(search.unknowns, ends, keep=_POPULATION, same_px=_SAME_PX)
         if times > 1 and search.misfit(x[:1]) < UNEXPLAINED:
             told.spend(cost * (_SEARCHES - done) / (_SEARCHES + 1))
             break
     else:
         x, costs = search.evolved(x)  # what one of them lacks, another may have
         told.spend(cost / (_SEARCHES + 1))
-        times = max(1, sum(search.apart_px(x[0], best[0]) < _SAME_PX for best, _ in ends))
+        times = max(1, sum(apart_px(search.unknowns, x[0], best[0]) < _SAME_PX for best, _ in ends))
     return search.described(x[:_FOUND], costs[:_FOUND]), times
 
 
@@ -264,10 +262,6 @@ class _TrailSearch:
         near = np.exp(-0.5 * ((at - self.rng.uniform()) / _SLIP_SPAN) ** 2)
         when = np.clip(at + self.rng.normal(0, _SLIP) * near, 0, 1)
         return np.stack([np.interp(when, at, path[:, axis]) for axis in (0, 1)], axis=1)
-
-    def apart_px(self, one: Tensor, other: Tensor) -> float:
-        """Rms distance of two candidates (N,), px."""
-        return apart_px(self.unknowns, one, other)
 
     def distinct(self, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
         """Best candidates, none near a better one."""
