@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from cep.search.bounding.bounds import bound
     from cep.search.limits import RunLimits
     from cep.search.problem import SearchProblem
+    from cep.workflows.advise import advise
     from cep.workflows.calibrate import estimate_motion
     from cep.workflows.compare import compare
     from cep.workflows.optimize import optimize
@@ -52,6 +53,7 @@ __all__ = [
     "ShutterCode",
     "Trajectory",
     "__version__",
+    "advise",
     "audit",
     "bound",
     "capture",
@@ -78,6 +80,7 @@ _MODULES = {
     "SearchProblem": "cep.search.problem",
     "ShutterCode": "cep.optics.code",
     "Trajectory": "motdiff.trajectory",
+    "advise": "cep.workflows.advise",
     "audit": "cep.proofs.audit",
     "bound": "cep.search.bounding.bounds",
     "capture": "cep.optics.capture",

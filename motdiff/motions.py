@@ -9,7 +9,14 @@ import numpy as np
 from motdiff.gyro import GyroTrace, trajectory_from_gyro
 from motdiff.trajectory import Trajectory
 
-__all__ = ["DEBLURGAN_EXPL", "boracchi_foi", "quadratic", "random_gyro_motion", "random_straight"]
+__all__ = [
+    "DEBLURGAN_EXPL",
+    "boracchi_foi",
+    "quadratic",
+    "random_gyro_motion",
+    "random_straight",
+    "with_smooth_error",
+]
 
 DEBLURGAN_EXPL = (0.01, 0.009, 0.008, 0.007, 0.005, 0.003)
 _WINDOW_TRIES = 200
@@ -179,6 +186,36 @@ def random_gyro_motion(
     raise ValueError(
         f"trace: {_WINDOW_TRIES} windows of {exposure_s} s turned by less than min_extent_rad = {min_extent_rad}"
     )
+
+
+def with_smooth_error(
+    trajectory: Trajectory, error_px: float, *, rng: np.random.Generator, smooth_over: float = 0.12, samples: int = 101
+) -> Trajectory:
+    """Draw a path near another one, as an estimate is near the truth: a Gaussian process is added.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    error_px : float, px
+        Expected rms distance over time, both axes together.
+    rng : numpy.random.Generator
+    smooth_over : float
+        Share of the exposure over which the error changes.
+    samples : int
+        Points on the drawn path, evenly spaced in time.
+
+    Raises
+    ------
+    ValueError
+        If the error is negative or ``smooth_over`` is not positive.
+    """
+    if not (math.isfinite(error_px) and error_px >= 0):
+        raise ValueError(f"error_px: must be 0 px or more, got {error_px}")
+    _positive("smooth_over", smooth_over)
+    t = np.linspace(0, 1, samples)
+    alike = np.exp(-0.5 * ((t[:, None] - t) / smooth_over) ** 2)
+    error = np.linalg.cholesky(alike + 1e-8 * np.eye(t.size)) @ rng.standard_normal((t.size, 2)) * error_px / 2**0.5
+    return Trajectory.from_samples(trajectory.at(t) + error, t=t, direction=trajectory.direction)
 
 
 def _positive(name: str, value: float) -> None:

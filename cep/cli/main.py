@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from cep.cli import (
+    advise,
     bench,
     calibrate,
     calibration_set,
@@ -69,6 +70,7 @@ def _root(
 app.command("calibrate")(calibrate.calibrate)
 app.command("calibration-set")(calibration_set.calibration_set)
 app.command("refine")(refine.refine)
+app.command("advise")(advise.advise)
 app.command("optimize")(optimize.optimize)
 app.command("pareto")(pareto.pareto)
 app.command("audit")(code.audit)

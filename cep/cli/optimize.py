@@ -10,13 +10,14 @@ import typer
 from cep.cli.code_options import (
     SEARCH,
     Alternatives,
-    ChipTime,
+    ChipTimeInstead,
     Device,
     Direction,
     Drift,
     Duty,
     Each,
     Effort,
+    Exposure,
     FirstOpen,
     Fixed,
     Frames,
@@ -33,9 +34,10 @@ from cep.cli.code_options import (
     Rule,
     Speed,
     chips_option,
+    exposure_seconds,
 )  # fmt: skip
 from cep.cli.commands import in_options
-from cep.cli.console import progress, table
+from cep.cli.console import part, progress, table
 from cep.cli.frames import optimize_frames
 from cep.cli.jobs import Cache, Dask, Workers, finish_folder, only_of_folders
 from cep.cli.optimize_class import All, ClassName, ClassSize, PathLength, optimize_class, refuse_with_class
@@ -57,7 +59,7 @@ from cep.cli.search_run import SearchRun
 from cep.workflows.search_options import SearchOptions, Task, ending, openings, task_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from rich.console import Console
 
@@ -69,7 +71,8 @@ if TYPE_CHECKING:
 __all__ = ["optimize"]
 
 
-_STANDARD_CHIPS = 52
+_STANDARD_CHIPS, _CHIP_NS = 52, 1_000_000
+_CHOOSING = 0.3  # of the time: the number of chips, where it is not given
 _COLUMNS = {
     "motion": "motion",
     "open": "open",
@@ -91,10 +94,11 @@ def optimize(
     motion_class: ClassName = None,
     length: PathLength = None,
     motions: ClassSize = None,
-    chips: Annotated[int, chips_option(least=1)] = _STANDARD_CHIPS,
+    chips: Annotated[int | None, chips_option(least=1)] = None,
     open_chips: OpenChips = None,
     duty: Duty = None,
-    chip_ns: ChipTime = 1_000_000,
+    exposure: Exposure = None,
+    chip_ns: ChipTimeInstead = None,
     frames: Frames = 1,
     objective: Objective = None,
     direction: Direction = "auto",
@@ -196,21 +200,33 @@ def optimize(
         from cep.proofs.measure import find_figures
         from cep.search.exhaustive.exact import codes_to_count
         from cep.search.limits import RunLimits
+        from cep.search.playable import chip_time_ns
+        from cep.workflows.advise import suited_chips
         from cep.workflows.optimize import Search, searched_problem, stored_search
         from cep.workflows.optimize import optimize as find
         from hw.device import load_profile
 
         how = Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)  # type: ignore[arg-type]
-        wish = SearchOptions(
-            chips=chips, chip_ns=chip_ns, open_chips=open_chips, duty=duty, objective=objective, direction=direction,
-            runs=RunLimits(
-                min_open=min_open, max_open=max_open, min_closed=min_closed, min_period=min_period,
-                max_pulses=max_pulses, fixed=fixed,
-            ),
-            first_open=first_open, last_open=last_open, alternatives=alternatives, speed=speed, drift=drift,
-            jitter=jitter, rule=rule,
-        )  # fmt: skip
+        exposure_s = exposure_seconds(exposure)
+        if exposure_s is not None and chip_ns is not None:
+            raise ValueError("--exposure and --chip-ns: give one of them")
         profile = None if device is None else load_profile(device)
+
+        def wish_of(count: int) -> SearchOptions:
+            """Return the options for so many chips."""
+            return SearchOptions(
+                chips=count,
+                chip_ns=chip_ns or (_CHIP_NS if exposure_s is None else chip_time_ns(exposure_s, count, profile)),
+                open_chips=open_chips, duty=duty, objective=objective, direction=direction,
+                runs=RunLimits(
+                    min_open=min_open, max_open=max_open, min_closed=min_closed, min_period=min_period,
+                    max_pulses=max_pulses, fixed=fixed,
+                ),
+                first_open=first_open, last_open=last_open, alternatives=alternatives, speed=speed, drift=drift,
+                jitter=jitter, rule=rule,
+            )  # fmt: skip
+
+        wish = wish_of(chips or len(fixed or "") or _STANDARD_CHIPS)
         light = load_camera(camera, photons=photons, read_noise=read_noise)
         run = SearchRun(
             how=how, profile=profile, output=output or Path("code.json"), force=force, as_json=as_json, tick=tick
@@ -219,7 +235,7 @@ def optimize(
         if own and frames > 1:
             raise ValueError("--figure: not valid with --frames, whose exposures are judged together")
 
-        def task(stored: StoredMotion, path: Path | None) -> Task:
+        def task(stored: StoredMotion, path: Path | None, wish: SearchOptions = wish) -> Task:
             source = {"trajectory": None if path is None else str(path), "linear_px": linear, "device": device}
             try:
                 return task_of(wish, stored, how, camera=light, profile=profile, source=source)
@@ -274,11 +290,19 @@ def optimize(
             only_of_folders("--each", workers, dask, cache)
             if trajectory is not None and trajectory.is_dir():
                 raise ValueError(f"{trajectory}: is a folder; --each FOLDER searches a code for each motion in it")
-            wanted = task(load_motion(trajectory, linear), trajectory)
+            stored = load_motion(trajectory, linear)
             if frames > 1:
-                show = optimize_frames(wanted, frames, run)
+                show = optimize_frames(task(stored, trajectory), frames, run)
             else:
                 claim([run.output], force=force, inputs=[] if trajectory is None else [trajectory])
+                others: Mapping[int, float] = {}
+                if chips is None and fixed is None and method == "anneal" and objective in (None, "mse"):
+                    count, others = suited_chips(
+                        lambda count: task(stored, trajectory, wish_of(count)).problem, seed=seed,
+                        progress=part(tick, 0.0, _CHOOSING),
+                    )  # fmt: skip
+                    wish = wish_of(count)
+                wanted = task(stored, trajectory, wish)
 
                 def keep(code: ShutterCode, found: Found) -> None:
                     """Write the code before it is compared: Ctrl-C from here on must not lose it."""
@@ -287,23 +311,31 @@ def optimize(
 
                 tick(0.0, f"{codes_to_count(searched_problem(wanted.problem)):.2g} codes" if method == "exact" else "")
                 best = find(
-                    wanted.problem, **asdict(how), along=wanted.along, figures=own, progress=tick, on_found=keep
-                )
+                    wanted.problem, **asdict(how), along=wanted.along, figures=own,
+                    progress=part(tick, _CHOOSING if others else 0.0, 1.0), on_found=keep,
+                )  # fmt: skip
                 best.save(run.output, described=wanted.described)
-                result = {"file": run.output, **best.to_dict(), "warnings": list(best.warnings)}
-                show = run.shown(result, partial(_show, best=best, file=run.output))
+                result = {
+                    "file": run.output, **best.to_dict(), "other_chips_db": others, "warnings": list(best.warnings)
+                }  # fmt: skip
+                show = run.shown(result, partial(_show, best=best, others=others, file=run.output))
     show()
 
 
-def _show(console: Console, *, best: Optimum, file: Path) -> None:
+def _show(console: Console, *, best: Optimum, others: Mapping[int, float], file: Path) -> None:
     """Print a search and its comparison for people."""
-    from cep.io.formatting import number
+    from cep.io.formatting import duration, number
     from cep.proofs.measure import figure_head, figure_in_words
+    from cep.workflows.advise import in_words_of_chips
 
     code, found, straight = best.code, best.found, best.along is None
+    console.print(best.verdict.sentence)
     console.print(f"{file}: {code.bits}")
-    light = f"{code.open_chips} of {code.chips} chips open, {openings(code)}"
+    chip, whole = (duration(time_ns * 1e-9) for time_ns in (code.chip_ns, code.duration_ns))
+    light = f"{code.open_chips} of {code.chips} chips open, {openings(code)}; {chip} a chip, {whole} in all"
     console.print(f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}")
+    if others:
+        console.print(in_words_of_chips(others))
     heads = (figure_head(*item) for item in best.comparison[0].figures.items())
     columns = ("code", "open", "min |P|, chips" if straight else "min MTF", "noise gain, dB", "MSE, dB", *heads)
     lowest = "min_chip" if straight else "min_mtf"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["number"]
+__all__ = ["duration", "number"]
 
 _ROUNDING = 1e-12  # of figures around 1, in dB or px: smaller values are rounding errors of a zero
 
@@ -16,3 +16,17 @@ def number(value: float, *, digits: int = 4) -> str:
     ('0.03176', '0', '0')
     """
     return f"{value:.{digits}g}" if not abs(value) < _ROUNDING else "0"
+
+
+def duration(seconds: float) -> str:
+    """Format a duration in the unit that suits it, to three digits.
+
+    Examples
+    --------
+    >>> duration(1 / 30), duration(2.5e-5), duration(90)
+    ('33.3 ms', '25 us', '90 s')
+    """
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds * 1e9:.3g} ns"

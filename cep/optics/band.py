@@ -14,6 +14,7 @@ __all__ = [
     "band",
     "band_samples",
     "circle_samples",
+    "grid_samples",
     "in_band",
     "stays_in_place",
     "straight_axis",
@@ -69,7 +70,11 @@ def band_samples(trajectory: Trajectory, *, oversampling: int = 64) -> BandSampl
     axis = straight_axis(trajectory)
     if axis is not None:
         return _along(axis, max(1.0, float(np.ptp(trajectory.xy @ axis))), oversampling)
-    side = max(64, 2 * int(np.ceil(trajectory.extent_px / 2)))
+    return grid_samples(max(64, 2 * int(np.ceil(trajectory.extent_px / 2))))
+
+
+def grid_samples(side: int) -> BandSamples:
+    """Make the trapezoid rule on so many intervals a side, an even number, for any |H|."""
     fx, fy = np.meshgrid(np.linspace(-0.5, 0.5, side + 1), np.linspace(0, 0.5, side // 2 + 1))
     wx, wy = np.ones(side + 1), np.ones(side // 2 + 1)
     wx[[0, -1]] = wy[[0, -1]] = 0.5

@@ -10,7 +10,9 @@ from cep.search.limits import RunLimits
 from hw.device import DeviceProfile
 from hw.program import Program
 
-__all__ = ["Playable", "limits_of_device", "response_of_device", "unplayable", "within_device"]
+__all__ = ["Playable", "chip_time_ns", "limits_of_device", "response_of_device", "unplayable", "within_device"]
+
+_LONGEST_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -140,6 +142,20 @@ def response_of_device(profile: DeviceProfile, chip_ns: int) -> ShutterResponse 
         )
     response = ShutterResponse(chip_ns=chip_ns, rise_ns=profile.rise_ns, fall_ns=profile.fall_ns)
     return None if response.instant else response
+
+
+def chip_time_ns(exposure_s: float, chips: int, profile: DeviceProfile | None = None) -> int:
+    """Return the chip time of an exposure, ns: the nearest whole number of the device's ticks.
+
+    Raises
+    ------
+    ValueError
+        If the exposure is not above 0 or longer than an hour.
+    """
+    if not 0 < exposure_s <= _LONGEST_S:
+        raise ValueError(f"exposure_s: must be above 0 and at most {_LONGEST_S:g} s, got {exposure_s:g}")
+    tick = 1 if profile is None else profile.tick_ns
+    return max(1, round(exposure_s * 1e9 / chips / tick)) * tick
 
 
 def _check_chip(profile: DeviceProfile, chip_ns: int) -> None:

@@ -15,7 +15,7 @@ from cep.optics.response import ShutterResponse
 from cep.optics.timeline import check_lengths, checked_edges
 from cep.proofs.measure import CodeMetrics, measure, worst_of
 from cep.search.limits import Limits, RunLimits, check_feasible, checked_mask
-from cep.search.playable import within_device
+from cep.search.playable import chip_time_ns, within_device
 from cep.search.sampling import draw
 from cep.search.scenarios import Scenario
 from hw.device import DeviceProfile, load_profile
@@ -131,7 +131,7 @@ class SearchProblem:
         duty : (float, float), optional
             Instead of the open range, least and largest open fraction.
         exposure_s : float, optional
-            Length of the exposure, which sets ``chip_ns``.
+            Length of the exposure, which sets ``chip_ns``, to the device's nearest tick.
         device : DeviceProfile or str, optional
             Shutter that must be able to play the codes, or its name as of :func:`hw.device.load_profile`: its limits
             tighten ``runs`` and the open range, and the search counts its rise and fall.
@@ -154,13 +154,14 @@ class SearchProblem:
             if open_range is not None:
                 raise ValueError("duty and open_range: give one of them")
             open_range = open_range_of_duty(chips, *duty)
+        profile = load_profile(device) if isinstance(device, str) else device
         if exposure_s is not None:
             if "chip_ns" in options:
                 raise ValueError("exposure_s and chip_ns: give one of them")
-            options["chip_ns"] = round(1e9 * exposure_s / chips)
-        if device is not None:
+            options["chip_ns"] = chip_time_ns(exposure_s, chips, profile)
+        if profile is not None:
             played = within_device(
-                load_profile(device) if isinstance(device, str) else device,
+                profile,
                 chips=chips,
                 chip_ns=options.get("chip_ns", cls.chip_ns),
                 open_range=open_range or (1, chips),

@@ -1,13 +1,12 @@
-"""A code beside what would be used instead of it: their figures, and what to expect of them at several light levels."""
+"""A code beside what would be used instead of it, and the figures of each."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import (
@@ -18,35 +17,12 @@ from cep.proofs.measure import (
     figure_in_words,
     own_figures,
 )
-from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Baseline
 from cep.search.recipe import baselines as find_baselines
 from motdiff.trajectory import Trajectory
 
-__all__ = ["BaselineRow", "Comparison", "as_designed", "compare", "expected_psnr_db"]
-
-
-def expected_psnr_db(
-    problem: SearchProblem, codes: Sequence[ShutterCode], *, photons: Sequence[float]
-) -> NDArray[np.float64]:
-    """Expect this PSNR, dB, of the Wiener restoration at several light levels: (codes, levels), worse direction.
-
-    Parameters
-    ----------
-    problem : SearchProblem
-        Motions, and the camera but for its light.
-    codes : sequence of ShutterCode
-    photons : sequence of float
-        Photo-electrons at full scale.
-    """
-    chips = np.array([code.array for code in codes], dtype=np.int8)
-    columns = []
-    for level in photons:
-        camera = replace(problem.camera, photons_full_scale=level)
-        at_level = replace(problem, objective="mse", camera=camera)
-        columns.append(-Objective(at_level, oversampling=16, dtype=np.float64).cost_of(chips))
-    return np.stack(columns, axis=1)
+__all__ = ["BaselineRow", "Comparison", "as_designed", "compare"]
 
 
 @dataclass(frozen=True)

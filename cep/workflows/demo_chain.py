@@ -17,10 +17,11 @@ from cep.optics.path_limits import check_resolved
 from cep.proofs.measure import CodeMetrics
 from cep.restoration import restore
 from cep.restoration.direction import DirectionResult, detect_direction
+from cep.search.expected import expected_psnr_db, light_noise
 from cep.search.problem import SearchProblem, open_range_of_duty
 from cep.search.recipe import Found
 from cep.workflows.calibrate import estimate_motion
-from cep.workflows.compare import BaselineRow, compare, expected_psnr_db
+from cep.workflows.compare import BaselineRow, compare
 from cep.workflows.optimize import Search, search
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
@@ -170,7 +171,8 @@ def run_chain(
         tell(_RESTORED[0] + (_RESTORED[1] - _RESTORED[0]) * len(shots) / len(wanted), "restoring")
 
     clock.begin(_RESTORED[1], "judging")
-    table = expected_psnr_db(problem, [row.code for row in compared], photons=LIGHT_LEVELS)
+    noise = [light_noise(replace(camera, photons_full_scale=level), count) for level in LIGHT_LEVELS]
+    table = expected_psnr_db(problem, [row.code for row in compared], noise=noise)
     expected = tuple((row.name, tuple(values)) for row, values in zip(compared, table.tolist(), strict=True))
     clock.begin(1.0, "done")
     return Chain(

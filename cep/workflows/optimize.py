@@ -18,6 +18,7 @@ from cep.proofs.certify.certificate import Certificate, certify
 from cep.proofs.measure import CodeMetrics, FigureOfMerit, find_figures, own_figures
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Found, mean_length_px, prove_code, search_code
+from cep.workflows.advise import Verdict, verdict
 from cep.workflows.compare import Comparison, as_designed, compare
 from motdiff.trajectory import Trajectory
 
@@ -113,6 +114,8 @@ class Optimum:
         The search or the proof: cost, moves, seconds, and what ended it.
     comparison : Comparison
         The code first, then what would be used instead of it.
+    verdict : Verdict
+        Whether to use it, by the restoration that is expected with the problem's camera.
     along : Trajectory or None
         What the certificate is for; None: the unit circle, where only the code's polynomial matters.
     certificate : Certificate
@@ -127,6 +130,7 @@ class Optimum:
     how: Search
     found: Found
     comparison: Comparison
+    verdict: Verdict
     along: Trajectory | None
     certificate: Certificate
     figure: str
@@ -163,11 +167,15 @@ class Optimum:
         """Fields for JSON, as ``cep optimize --json`` prints them."""
         code, found = self.code, self.found
         return {
+            "verdict": self.verdict.sentence,
+            "choice": self.verdict.choice,
+            "gains_db": self.verdict.gains_db,
             "bits": code.bits,
             "chips": code.chips,
             "open": code.open_chips,
             "duty": code.duty,
             "chip_ns": code.chip_ns,
+            "exposure_s": code.duration_ns * 1e-9,
             **self.comparison[0].to_dict(),
             "objective": found.objective,
             "proven": found.stopped == "proven",
@@ -206,7 +214,11 @@ class Optimum:
         write_code(path, self.stored(described))
 
     def __repr__(self) -> str:
-        lines = [f"{self.code.bits}: {self.code.open_chips} of {self.code.chips} chips open", repr(self.comparison)]
+        lines = [
+            self.verdict.sentence,
+            f"{self.code.bits}: {self.code.open_chips} of {self.code.chips} chips open",
+            repr(self.comparison),
+        ]
         if self.bound is not None:
             lines.append(f"no code with so many open chips has a {self.figure.split(',')[0]} beyond {self.bound:.4g}")
         return "\n".join([*lines, *self.warnings])
@@ -234,7 +246,8 @@ def optimize(
 ) -> Optimum:
     """Search the code that is best along a problem's motions, certify it, and compare it with what is used instead.
 
-    No code of the comparison that keeps the problem's limits is better by its objective.
+    No code of the comparison that keeps the problem's limits is better by its objective. Whether to use the code at all
+    is decided by the expected restoration, see :class:`cep.workflows.advise.Verdict`.
 
     Parameters
     ----------
@@ -286,11 +299,12 @@ def optimize(
     on_found(code, found)
     progress(_SEARCH_SHARE, "comparing with other codes")
     comparison = compare(problem, code, baselines=found.baselines, figures=figures, along=motion)
+    judged = verdict(problem, code)
     path = None if problem.on_circle else designed
     certificate = certify(code, path)
     bounded = _bounded(problem, comparison[0].metrics, straight=path is None, effort=effort)
     progress(1.0, "")
-    return Optimum(problem, how, found, comparison, path, certificate, *bounded)
+    return Optimum(problem, how, found, comparison, judged, path, certificate, *bounded)
 
 
 def searched_problem(problem: SearchProblem) -> SearchProblem:

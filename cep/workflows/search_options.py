@@ -67,7 +67,6 @@ def problem_of(
     ValueError
         If an option is malformed or they conflict; the line says which.
     """
-    from cep.optics.band import uniform_length_px
     from cep.search.playable import Playable, within_device
     from cep.search.problem import SearchProblem
 
@@ -75,12 +74,11 @@ def problem_of(
     played = Playable(replace(wish.runs, fixed=_mask(wish)), open_range, None)
     if profile is not None:
         played = within_device(profile, chips=wish.chips, chip_ns=wish.chip_ns, open_range=open_range, runs=played.runs)
-    straight = uniform_length_px(stored.trajectory) is not None
     return SearchProblem(
         chips=wish.chips,
         scenarios=_scenarios(wish, stored, rng),
         open_range=played.open_range,
-        objective=_objective(wish.objective) if wish.objective else ("min-mtf" if straight else "mse"),
+        objective=_objective(wish.objective or "mse"),
         direction=wish.direction,  # type: ignore[arg-type]
         rule=wish.rule,  # type: ignore[arg-type]
         runs=played.runs,
@@ -216,6 +214,7 @@ def task_of(
     """
     import numpy as np
 
+    from cep.optics.band import uniform_length_px
     from cep.optics.path_limits import check_frame, check_resolved
     from cep.workflows.optimize import described_search
 
@@ -223,6 +222,8 @@ def task_of(
     for path in (motion, *(path for _, path in stored.alternatives if wish.alternatives)):
         check_frame(path)
     check_resolved(motion, wish.chips)
+    if wish.objective is None and how.method == "exact" and uniform_length_px(motion) is not None:
+        wish = replace(wish, objective="min-mtf")  # what a proof is for
     problem = problem_of(wish, stored, camera=camera, profile=profile, rng=np.random.default_rng([how.seed, 2]))
     described = {
         **{

@@ -1,0 +1,49 @@
+"""Figure of what snapshot, strobe and code gain over the open shutter at each light level."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cep.plots.canvas import COLOURS, LINES, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from cep.workflows.advise import Advice
+
+__all__ = ["advice_figure"]
+
+_NAMES = {"snapshot": "best single exposure", "strobe": "best even pulses", "code": "best code"}
+
+
+def advice_figure(advice: Advice) -> Figure:
+    """Draw expected gains over the open shutter against the light; ranges where a code or pulses pay are shaded.
+
+    Parameters
+    ----------
+    advice : Advice
+    """
+    figure = new_figure(7.2, 4.6)
+    axes = figure.subplots()
+    light = [one.camera.photons_full_scale for one in advice.levels]
+    axes.axhline(0.0, color="black", linewidth=1.0)
+    axes.text(light[0], 0.0, "open shutter", fontsize=9, va="bottom")
+    for (kind, name), colour, line in zip(_NAMES.items(), COLOURS, LINES, strict=False):
+        gains = [(one.camera.photons_full_scale, one.gains_db) for one in advice.levels]
+        points = [(level, gain[kind]) for level, gain in gains if kind in gain]
+        if points:
+            axes.plot(*zip(*points, strict=True), color=colour, linestyle=line, marker="o", markersize=4, label=name)
+    for low, high in advice.crossover:
+        axes.axvspan(low or light[0], high or light[-1], color=COLOURS[2], alpha=0.12, linewidth=0)
+    axes.axvline(advice.here.camera.photons_full_scale, color="grey", linewidth=1.0, linestyle=":")
+    axes.annotate(
+        "your light", (advice.here.camera.photons_full_scale, 1.0), xycoords=("data", "axes fraction"),
+        xytext=(4, -12), textcoords="offset points", fontsize=9, color="dimgrey",
+    )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_xlabel("light: photo-electrons at full scale of the open exposure")
+    axes.set_ylabel("expected gain after restoration, dB")
+    axes.set_title("shaded: a code pays" if advice.crossover else "a code pays at none of these", fontsize=10)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=9)
+    return figure

@@ -1,0 +1,571 @@
+"""Whether to code an exposure: open shutter, best snapshot, best strobe and best code, over the light."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.io.formatting import duration
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.optics.path_limits import check_frame, check_resolved
+from cep.search.annealing.anneal import anneal
+from cep.search.expected import equal_light_noise, expected_psnr_db, light_noise
+from cep.search.light import best_snapshot, best_strobe
+from cep.search.objective import Objective
+from cep.search.problem import SearchProblem
+
+__all__ = [
+    "COUNTS",
+    "LEVELS",
+    "WORTH_DB",
+    "Advice",
+    "Choice",
+    "Verdict",
+    "Way",
+    "advise",
+    "best_psnr_db",
+    "in_words_of_chips",
+    "ordinary_ways",
+    "suited_chips",
+    "verdict",
+]
+
+FloatArray = NDArray[np.float64]
+Choice = Literal["open", "snapshot", "strobe", "code"]
+
+LEVELS = (100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
+"""Photo-electrons at full scale at which the ways to expose are compared: from starlight to studio."""
+
+WORTH_DB = 0.1
+"""Gain below which the simpler way to expose is advised."""
+
+COUNTS = (8, 16, 32, 52, 104)
+"""Numbers of chips that are tried where none is given."""
+
+_LEAST_LEVEL, _MOST_LEVEL = 1.0, 1e7
+_COARSE = 8  # samples per 1 / extent while snapshots, strobes and codes are searched
+_MOVES = 100_000  # of a search at one light level; four times as many gain less than 0.05 dB
+_SEARCH_S = 20.0  # of one search, at most
+_PLAIN: tuple[Choice, ...] = ("open", "snapshot")
+_CODED: tuple[Choice, ...] = ("strobe", "code")
+_SIMPLEST = (*_PLAIN, *_CODED)
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to expose.
+
+    Attributes
+    ----------
+    kind : {"open", "snapshot", "strobe", "code"}
+    code : ShutterCode
+        Chips that are open; a snapshot's are one run.
+    psnr_db : float
+        Expected of the restored photo, with the light that the chips let in.
+    equal_light_db : float
+        The same where a brighter lamp makes up for the closed chips.
+    within_limits : bool
+        Whether it keeps the problem's limits.
+    """
+
+    kind: Choice
+    code: ShutterCode
+    psnr_db: float
+    equal_light_db: float
+    within_limits: bool = True
+
+    @property
+    def label(self) -> str:
+        """Name for tables."""
+        name = {"open": "open shutter", "snapshot": "single exposure", "strobe": "even pulses", "code": "code"}[
+            self.kind
+        ]
+        return name if self.within_limits else f"{name} (outside the limits)"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON."""
+        return {
+            "bits": self.code.bits,
+            "open": self.code.open_chips,
+            "psnr_db": self.psnr_db,
+            "equal_light_psnr_db": self.equal_light_db,
+            "within_limits": self.within_limits,
+        }
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Ways to expose at one light level, and which of them to take.
+
+    Attributes
+    ----------
+    camera : Camera
+    ways : tuple of Way
+        The open shutter first, then every other that was tried.
+    """
+
+    camera: Camera
+    ways: tuple[Way, ...]
+
+    def best(self, kind: Choice, *, within_limits: bool = True) -> Way | None:
+        """Return the best way of a kind, of those within the limits unless asked for all; None where there is none.
+
+        Even pulses are a code as well.
+        """
+        kinds = _CODED if kind == "code" else (kind,)
+        found = [way for way in self.ways if way.kind in kinds and (way.within_limits or not within_limits)]
+        return max(found, key=lambda way: way.psnr_db, default=None)
+
+    @property
+    def advised(self) -> Way:
+        """The way to take: the simplest within the limits that none of the others beats by :data:`WORTH_DB`."""
+        kept = [way for kind in _SIMPLEST if (way := self.best(kind)) is not None]
+        highest = max(way.psnr_db for way in kept)
+        near = [way for way in kept if way.psnr_db > highest - WORTH_DB]
+        # nothing is advised while a simpler way is better, however little
+        return next(way for way in near if all(way.psnr_db >= simpler.psnr_db for simpler in near[: near.index(way)]))
+
+    @property
+    def choice(self) -> Choice:
+        """Kind of the way to take."""
+        return self.advised.kind
+
+    @property
+    def outside(self) -> Way | None:
+        """A way outside the limits that is better than the one to take by :data:`WORTH_DB`, the best; else None."""
+        others = [way for way in self.ways if not way.within_limits and way.kind != "open"]
+        best = max(others, key=lambda way: way.psnr_db, default=None)
+        return best if best is not None and best.psnr_db > self.advised.psnr_db + WORTH_DB else None
+
+    @property
+    def gains_db(self) -> dict[str, float]:
+        """Expected gain of the best way of each kind over the open shutter, dB, within the limits."""
+        return self._gains("psnr_db")
+
+    @property
+    def equal_light_gains_db(self) -> dict[str, float]:
+        """The same where a brighter lamp makes up for the closed chips."""
+        return self._gains("equal_light_db")
+
+    @property
+    def code_gain_db(self) -> float | None:
+        """Gain of the best code over the better of open shutter and best snapshot, within the limits.
+
+        None where the limits leave only one of the two.
+        """
+        code, plain = self.best("code"), [way.psnr_db for kind in _PLAIN if (way := self.best(kind)) is not None]
+        return code.psnr_db - max(plain) if code is not None and plain else None
+
+    @property
+    def sentence(self) -> str:
+        """What to do, and what it gains: one or two sentences."""
+        way, light = self.advised, _light(self.camera)
+        code, snapshot = self.best("code"), self.best("snapshot")
+        over_open = f"{_db(way.psnr_db - self.ways[0].psnr_db)} better than the open shutter{light}"
+        if way.kind == "open":
+            said = f"Leave the shutter open: no shorter exposure and no code gains {WORTH_DB:g} dB{light}."
+        elif way.kind == "snapshot":
+            lost = 0.0 if code is None else way.psnr_db - code.psnr_db
+            than = f"{_db(lost)} better than the best code and" if lost >= WORTH_DB else "as well as any code and"
+            said = f"Coding does not pay here: expose {_share(way.code)}; that restores {than} {over_open}."
+        else:
+            do = "Code this exposure" if way.kind == "code" else f"Pulse the shutter evenly, {_pulses(way.code)}"
+            over = (
+                "" if snapshot is None else f"{_db(way.psnr_db - snapshot.psnr_db)} better than {_run(snapshot)} and "
+            )
+            said = f"{do}: that restores {over}{over_open}."
+        if (better := self.outside) is not None:
+            said += (
+                f" If the limits can be loosened, {_run(better)} would be {_db(better.psnr_db - way.psnr_db)} "
+                "better still."
+            )
+        return said
+
+    def _gains(self, figure: str) -> dict[str, float]:
+        opened = getattr(self.ways[0], figure)
+        best = {kind: self.best(kind) for kind in _SIMPLEST}
+        return {kind: getattr(way, figure) - opened for kind, way in best.items() if way is not None}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON."""
+        best = {kind: way for kind in _SIMPLEST if (way := self.best(kind)) is not None}
+        return {
+            "choice": self.choice,
+            "photons": self.camera.photons_full_scale,
+            "gains_db": self.gains_db,
+            "equal_light_gains_db": self.equal_light_gains_db,
+            "ways": {kind: way.to_dict() for kind, way in best.items()},
+            "outside_limits": None if self.outside is None else self.outside.to_dict(),
+        }
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Verdict at the camera's light, and at other light levels.
+
+    Attributes
+    ----------
+    problem : SearchProblem
+    here : Verdict
+    levels : tuple of Verdict
+        By rising light, the camera's own among them.
+    path_error_px : float
+        Rms error that the path was taken to have.
+    """
+
+    problem: SearchProblem
+    here: Verdict
+    levels: tuple[Verdict, ...]
+    path_error_px: float = 0.0
+
+    @property
+    def choice(self) -> Choice:
+        """Kind of the way to take at the camera's light."""
+        return self.here.choice
+
+    @property
+    def gains_db(self) -> dict[str, float]:
+        """As :attr:`Verdict.gains_db`, at the camera's light."""
+        return self.here.gains_db
+
+    @property
+    def crossover(self) -> tuple[tuple[float | None, float | None], ...]:
+        """Ranges of light, photo-electrons at full scale, in which a code gains :data:`WORTH_DB` over all else.
+
+        Between the levels the gain is interpolated over the logarithm of the light; None where a range goes on beyond
+        the levels.
+        """
+        gains = np.array([-np.inf if (gain := one.code_gain_db) is None else gain for one in self.levels]) - WORTH_DB
+        light = np.log10([one.camera.photons_full_scale for one in self.levels])
+        ranges: list[tuple[float | None, float | None]] = []
+        begins: float | None = None
+        inside = bool(gains[0] > 0)
+        for i in range(1, len(gains)):
+            if (gains[i] > 0) == inside:
+                continue
+            share = gains[i - 1] / (gains[i - 1] - gains[i]) if np.isfinite(gains[i - 1] - gains[i]) else 0.5
+            at = float(10 ** (light[i - 1] + share * (light[i] - light[i - 1])))
+            if inside:
+                ranges.append((begins, at))
+            begins, inside = at, not inside
+        return (*ranges, (begins, None)) if inside else tuple(ranges)
+
+    @property
+    def sentence(self) -> str:
+        """What to do at the camera's light, then at which light coding pays."""
+        return f"{self.here.sentence} {self.where}"
+
+    @property
+    def where(self) -> str:
+        """At which light coding pays: one sentence."""
+        levels = [one.camera.photons_full_scale for one in self.levels]
+        span = f"between {levels[0]:,.0f} and {levels[-1]:,.0f} photo-electrons at full scale"
+        if not self.crossover:
+            return f"With this camera and motion coding pays at no light {span}."
+        best = max(self.levels, key=lambda one: one.code_gain_db or -math.inf)
+        if self.crossover == ((None, None),):
+            where = f"at any light {span}"
+        else:
+            ranges = " and ".join(_range(low, high) for low, high in self.crossover)
+            where = f"{ranges} photo-electrons at full scale"
+        return (
+            f"Coding pays {where}, by {_db(best.code_gain_db or 0.0)} at most "
+            f"(at {best.camera.photons_full_scale:,.0f})."
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON, as ``cep advise --json`` prints them."""
+        return {
+            "verdict": self.sentence,
+            **self.here.to_dict(),
+            "crossover": self.crossover,
+            "path_error_px": self.path_error_px,
+            "chips": self.problem.chips,
+            "chip_ns": self.problem.chip_ns,
+            "exposure_s": self.problem.chips * self.problem.chip_ns * 1e-9,
+            "levels": [one.to_dict() for one in self.levels],
+        }
+
+    def __repr__(self) -> str:
+        return self.sentence
+
+    def _repr_png_(self) -> bytes:
+        from cep.plots import png_bytes
+        from cep.plots.advice import advice_figure
+
+        return png_bytes(advice_figure(self))
+
+
+def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 0.0) -> Verdict:
+    """Judge codes beside the open shutter, the best snapshot and the best strobe, by the expected restoration.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        Its objective does not matter: the expected error with its camera does.
+    *codes : ShutterCode
+        Those of a single opening count as snapshots.
+    path_error_px : float
+        As of :func:`advise`.
+
+    Raises
+    ------
+    ValueError
+        If the problem has no motion, or a code another number of chips.
+    """
+    if any(code.chips != problem.chips for code in codes):
+        raise ValueError(f"codes: must have {problem.chips} chips")
+    return _judged(problem, [problem.camera], [*ordinary_ways(problem), *codes], path_error_px=path_error_px)[0]
+
+
+def advise(
+    problem: SearchProblem,
+    *codes: ShutterCode,
+    levels: Sequence[float] = LEVELS,
+    path_error_px: float = 0.0,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+) -> Advice:
+    """Compare open shutter, best snapshot, best strobe and best code, at the camera's light and at other levels.
+
+    Each way may be open for any part of the exposure within the problem's limits; the scene is as bright for all. A
+    code is searched at each level. Its gain is what the best linear restoration of the reference scene is expected to
+    gain (:func:`cep.search.expected.expected_psnr_db`).
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        Motions, camera and limits; its objective does not matter.
+    *codes : ShutterCode
+        Codes of the user's own to judge as well.
+    levels : sequence of float
+        Photo-electrons at full scale, 1..1e7.
+    path_error_px : float
+        Rms error of the path where it is an estimate. Every way is judged with it, the codes are searched without.
+    seed : int
+    threads : int, optional
+        As many as there are cores when omitted; the outcome does not depend on it.
+    progress : callable, optional
+        Called with the finished share, 0..1, and a note.
+
+    Raises
+    ------
+    ValueError
+        If the problem has no motion or it cannot be resolved, or a level is out of range.
+
+    Examples
+    --------
+    >>> path = Trajectory.straight(40.0)
+    >>> problem = SearchProblem.along(path, chips=40, camera=Camera(photons_full_scale=3_000, read_noise_e=2))
+    >>> advise(problem, levels=[300, 30_000]).choice
+    'snapshot'
+    """
+    wrong = [level for level in levels if not _LEAST_LEVEL <= level <= _MOST_LEVEL]
+    if wrong:
+        raise ValueError(f"levels: must lie within 1..1e7 photo-electrons at full scale, got {wrong[0]:g}")
+    if not problem.scenarios:
+        raise ValueError("scenarios: need a motion to advise on")
+    for scenario in problem.scenarios:
+        check_frame(scenario.trajectory)
+        check_resolved(scenario.trajectory, problem.chips)
+    light = sorted({*map(float, levels), problem.camera.photons_full_scale})
+    cameras = [replace(problem.camera, photons_full_scale=level) for level in light]
+    pool: list[ShutterCode] = list(codes)
+    parts = len(cameras) + 1
+    for done, camera in enumerate(cameras):
+        progress(done / parts, f"{camera.photons_full_scale:,.0f} photo-electrons")
+        lit = replace(problem, camera=camera)
+        ordinary = ordinary_ways(lit)
+        pool += [*ordinary, *_searched(lit, [*ordinary, *pool], seed=seed, threads=threads)]
+    progress(len(cameras) / parts, "judging")
+    judged = _judged(problem, cameras, pool, path_error_px=path_error_px)
+    here = judged[light.index(problem.camera.photons_full_scale)]
+    progress(1.0, "")
+    return Advice(problem, here, tuple(judged), path_error_px)
+
+
+def best_psnr_db(
+    problem: SearchProblem, *, path_error_px: float = 0.0, seed: int = 0, threads: int | None = None
+) -> float:
+    """Return the PSNR, dB, expected of the best way within the limits at the camera's light; see :func:`advise`."""
+    ordinary = ordinary_ways(problem)
+    codes = [*ordinary, *_searched(problem, ordinary, seed=seed, threads=threads)]
+    judged = _judged(problem, [problem.camera], codes, path_error_px=path_error_px)[0]
+    return max(way.psnr_db for way in judged.ways if way.within_limits)
+
+
+def suited_chips(
+    problem_of: Callable[[int], SearchProblem],
+    counts: Sequence[int] = COUNTS,
+    *,
+    path_error_px: float = 0.0,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+) -> tuple[int, dict[int, float]]:
+    """Choose the number of chips: the fewest with which the best way is within :data:`WORTH_DB` of the best of all.
+
+    Parameters
+    ----------
+    problem_of : callable
+        Returns the problem with so many chips. It may raise ValueError for some, which are left out, as are those that
+        the motion does not resolve.
+    counts : sequence of int
+    path_error_px, seed, threads, progress
+        As of :func:`advise`.
+
+    Returns
+    -------
+    int, dict of int to float
+        And what the best way gains with each other number of chips over the one chosen, dB.
+
+    Raises
+    ------
+    ValueError
+        If none is left: as for the first of them.
+    """
+    reached: dict[int, float] = {}
+    refusal = ValueError("counts: needs at least one number of chips")
+    for done, count in enumerate(counts):
+        progress(done / len(counts), f"{count} chips")
+        try:
+            problem = problem_of(count)
+            check_resolved(problem.scenarios[0].trajectory, count)
+        except ValueError as error:
+            refusal = error if done == 0 else refusal
+        else:
+            reached[count] = best_psnr_db(problem, path_error_px=path_error_px, seed=seed, threads=threads)
+    progress(1.0, "")
+    if not reached:
+        raise refusal
+    best_db = max(reached.values())
+    found = min(count for count, psnr_db in reached.items() if psnr_db > best_db - WORTH_DB)
+    return found, {count: psnr_db - reached[found] for count, psnr_db in reached.items() if count != found}
+
+
+def in_words_of_chips(gains_db: Mapping[int, float]) -> str:
+    """Say what other numbers of chips would gain or lose, as :func:`suited_chips` returns it; empty for none.
+
+    Examples
+    --------
+    >>> in_words_of_chips({16: -0.52, 104: 0.04})
+    '16 chips would lose 0.52 dB, 104 gain 0.04 dB'
+    """
+    parts = [f"{'gain' if gain > 0 else 'lose'} {abs(gain):.2f} dB" for gain in gains_db.values()]
+    names = [f"{count} chips would" if i == 0 else str(count) for i, count in enumerate(gains_db)]
+    return ", ".join(f"{name} {part}" for name, part in zip(names, parts, strict=True))
+
+
+def ordinary_ways(problem: SearchProblem) -> list[ShutterCode]:
+    """Return the best snapshots and strobes by the expected error: of all, and where these break the limits, within."""
+    coarse = Objective(replace(problem, objective="mse"), oversampling=_COARSE)
+    found = []
+    for best in (best_snapshot, best_strobe):
+        free = best(coarse)
+        if free is None:
+            continue
+        found.append(free)
+        if not problem.allows(free) and (kept := best(coarse, within_limits=True)) is not None:
+            found.append(kept)
+    return found
+
+
+def _searched(
+    problem: SearchProblem, starts: Sequence[ShutterCode], *, seed: int, threads: int | None
+) -> list[ShutterCode]:
+    """Search the code of least expected error within the limits."""
+    allowed = [code for code in starts if problem.allows(code)]
+    found = anneal(
+        replace(problem, objective="mse"), rng=np.random.default_rng([seed, 7]), steps=_MOVES, time_s=_SEARCH_S,
+        start=allowed, threads=threads,
+    )  # fmt: skip
+    if found.stopped == "interrupted":
+        raise KeyboardInterrupt
+    return [found.code]
+
+
+def _judged(
+    problem: SearchProblem, cameras: Sequence[Camera], codes: Sequence[ShutterCode], *, path_error_px: float
+) -> list[Verdict]:
+    """Judge every code at every light; the open shutter is added."""
+    n = problem.chips
+    every = list(
+        {code.bits: ShutterCode(code.bits, problem.chip_ns) for code in [ShutterCode("1" * n), *codes]}.values()
+    )
+    noise = [model(camera, n) for camera in cameras for model in (light_noise, equal_light_noise)]
+    psnr = expected_psnr_db(problem, every, noise=noise, path_error_px=path_error_px).reshape(len(every), -1, 2)
+    allowed = [problem.allows(code) for code in every]
+    return [
+        Verdict(
+            camera,
+            tuple(
+                Way(_kind(code), code, float(at_time), float(at_light), allows)
+                for code, (at_time, at_light), allows in zip(every, psnr[:, index], allowed, strict=True)
+            ),
+        )
+        for index, camera in enumerate(cameras)
+    ]
+
+
+def _kind(code: ShutterCode) -> Choice:
+    """Kind of a code by its openings: all, one, even ones, or others."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], code.array, [0]])))
+    starts, ends = edges[::2], edges[1::2]
+    if code.open_chips == code.chips:
+        return "open"
+    if len(starts) == 1:
+        return "snapshot"
+    even = len(np.unique(np.diff(starts))) == 1 and len(np.unique((ends - starts)[:-1])) == 1
+    # the last pulse may be cut off by the end of the exposure
+    whole = ends[-1] - starts[-1] == ends[0] - starts[0] or (
+        ends[-1] == code.chips and ends[-1] - starts[-1] < ends[0] - starts[0]
+    )
+    return "strobe" if even and whole else "code"
+
+
+def _light(camera: Camera) -> str:
+    return (
+        f", at {camera.photons_full_scale:,.0f} photo-electrons at full scale "
+        f"and {camera.read_noise_e:.3g} e- of read noise"
+    )
+
+
+def _db(value: float) -> str:
+    return f"{value:.1f} dB" if abs(value) >= 0.95 else f"{value:.2f} dB"
+
+
+def _run(way: Way) -> str:
+    if way.kind == "snapshot":
+        return f"a single exposure of {_share(way.code)}"
+    return f"{_pulses(way.code)}, open {_share(way.code)}"
+
+
+def _pulses(code: ShutterCode) -> str:
+    """Even pulses in words."""
+    opened = code.bits.index("1")
+    closed = code.bits.index("0", opened)
+    period = code.bits.find("1", closed) - opened
+    return f"{closed - opened} of every {period} chips open"
+
+
+def _share(code: ShutterCode) -> str:
+    """Open part of the exposure in words, with its time."""
+    part = code.chips / code.open_chips
+    share = f"1/{part:.2g}" if part >= 2 else f"{100 / part:.0f} %"
+    opened, whole = (count * code.chip_ns * 1e-9 for count in (code.open_chips, code.chips))
+    return f"{share} of the time ({duration(opened)} of {duration(whole)})"
+
+
+def _range(low: float | None, high: float | None) -> str:
+    """Range of light in words, its ends to two digits."""
+    ends = [None if end is None else f"{float(f'{end:.2g}'):,.0f}" for end in (low, high)]
+    if low is None:
+        return f"below {ends[1]}"
+    return f"above {ends[0]}" if high is None else f"from {ends[0]} to {ends[1]}"
