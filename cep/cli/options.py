@@ -53,9 +53,12 @@ ChipNs = Annotated[
     int | None, typer.Option("--chip-ns", metavar="NS", min=1, help="Chip time, ns; replaces the file's.")
 ]
 CameraFile = Annotated[
-    Path | None,
-    typer.Option("--camera", metavar="FILE", help="A .json or .toml with its figures.", rich_help_panel=CAMERA),
-]
+    str | None,
+    typer.Option(
+        "--camera", metavar="NAME|FILE", rich_help_panel=CAMERA,
+        help="A camera that cep camera list shows, or a .json or .toml file with its figures.",
+    ),
+]  # fmt: skip
 Figures = Annotated[
     list[str] | None,
     typer.Option(
@@ -94,15 +97,15 @@ def load_motion(trajectory: Path | None, linear: float | None) -> StoredMotion:
     return StoredMotion(Trajectory.straight(linear), source={"method": "linear"})
 
 
-def load_camera(path: Path | None, *, photons: float | None, read_noise: float | None) -> Camera:
+def load_camera(name: str | None, *, photons: float | None, read_noise: float | None) -> Camera:
     """Return the camera of ``--camera``, changed by ``--photons`` and ``--read-noise``; the standard one without."""
     from dataclasses import replace
 
     from cep.optics.camera import Camera
 
-    camera = Camera() if path is None else Camera.from_file(path)
+    camera = Camera() if name is None else Camera.load(name)
     if photons is not None:
-        camera = replace(camera, photons_full_scale=photons)
+        camera = camera.at(photons)
     return camera if read_noise is None else replace(camera, read_noise_e=read_noise)
 
 

@@ -1,10 +1,13 @@
-"""Camera model: photon noise, read noise, clipping, quantisation; and its files."""
+"""Camera model: photon noise, read noise, clipping, quantisation; its files, and profiles of known cameras."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
+from difflib import get_close_matches
+from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +18,7 @@ from cep.io.outputs import write_text
 from motdiff.io.inputs import one_line, read_json, read_toml
 from motdiff.simulate import add_noise, to_display, to_linear
 
-__all__ = ["LIGHT_LEVELS", "SCHEMA", "Camera"]
+__all__ = ["LIGHT_LEVELS", "SCHEMA", "Camera", "camera_names"]
 
 FloatArray = NDArray[np.float64]
 SCHEMA = "cep.camera/1"
@@ -24,6 +27,9 @@ LIGHT_LEVELS = (100.0, 1_000.0, 10_000.0, 100_000.0)
 """Photo-electrons at full scale at which coding is compared with not coding: from starlight to studio."""
 
 _LARGEST_PHOTONS = 1e9  # Poisson draws stay exact in float64 and int64 far above any full well
+_LEVELS = (1.0, 1e7)  # light levels that can be asked for, photo-electrons
+_STATED = ("name", "kind", "source", "full_well_e", "gain_e_per_dn", "dark_current_e_s", "least_exposure_s")
+"""Fields written only where they are stated: a camera without them keeps its document, which caches are keyed by."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,18 @@ class Camera:
     black_level : float, 0..1
         Pedestal: values down to minus this are recorded, not clipped at 0, so that read noise does not brighten
         dark photos. Raw files have one, finished pictures do not.
+    name, kind, source : str
+        What the camera is called, what kind of sensor it has, and where its figures come from; one line each.
+    full_well_e : float, optional
+        Electrons at which a pixel saturates; None where that is not known. It limits which light levels can be reached
+        (:attr:`saturation_e`), and no more: values are clipped at 1.
+    gain_e_per_dn : float, optional
+        Electrons per code value. With it code values are multiples of ``gain_e_per_dn / photons_full_scale``, whatever
+        the light level. Without it all code values lie within 0..1, as if the gain followed the light.
+    dark_current_e_s : float
+        Dark current, electrons per pixel and second. Its noise counts in :meth:`at`; its mean is taken as subtracted.
+    least_exposure_s : float
+        Shortest exposure of the camera's own shutter; 0 where that is not known.
 
     Raises
     ------
@@ -53,6 +71,9 @@ class Camera:
     --------
     >>> Camera(bits=2).quantise([0.1, 0.5, 2.0]).tolist()
     [0.0, 0.6666666666666666, 1.0]
+    >>> dim = Camera.load("sony-imx250").at(500, exposure_s=0.01)
+    >>> print(f"{dim.photons_full_scale:g} e-, read noise {dim.read_noise_e:g} e-, {dim.code_steps:.0f} code values")
+    500 e-, read noise 2.4 e-, 191 code values
     """
 
     photons_full_scale: float = 10_000.0
@@ -60,15 +81,22 @@ class Camera:
     bits: int = 12
     response: Literal["linear", "srgb"] = "linear"
     black_level: float = 0.0
+    name: str = ""
+    kind: str = ""
+    source: str = ""
+    full_well_e: float | None = None
+    gain_e_per_dn: float | None = None
+    dark_current_e_s: float = 0.0
+    least_exposure_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("photons_full_scale", "read_noise_e", "black_level"):
-            if isinstance(value := getattr(self, name), bool) or not isinstance(value, int | float | np.number):
-                raise ValueError(f"{name}: must be a number, got {value!r}")
-            try:
-                object.__setattr__(self, name, float(value))
-            except OverflowError:  # whole numbers have no largest one
-                raise ValueError(f"{name}: must be a number below 1e308, got a larger one") from None
+        for name in ("photons_full_scale", "read_noise_e", "black_level", "dark_current_e_s", "least_exposure_s"):
+            object.__setattr__(self, name, _number(name, getattr(self, name)))
+        for name in ("full_well_e", "gain_e_per_dn"):
+            if (given := getattr(self, name)) is not None:
+                object.__setattr__(self, name, value := _number(name, given))
+                if not (math.isfinite(value) and value > 0):
+                    raise ValueError(f"{name}: must be above 0 electrons, got {value}; leave it out where not known")
         if not 0 < self.photons_full_scale <= _LARGEST_PHOTONS:
             raise ValueError(f"photons_full_scale: must lie within 0..1e9 and above 0, got {self.photons_full_scale}")
         if not (np.isfinite(self.read_noise_e) and self.read_noise_e >= 0):
@@ -79,6 +107,63 @@ class Camera:
             raise ValueError(f"black_level: must lie within 0..1, got {self.black_level}")
         if self.response not in ("linear", "srgb"):
             raise ValueError(f'response: must be "linear" or "srgb", got {self.response!r}')
+        if self.gain_e_per_dn is not None and self.response != "linear":
+            raise ValueError('gain_e_per_dn: needs response "linear": code values of "srgb" differ in electrons')
+        for name, unit in (("dark_current_e_s", "electrons a second"), ("least_exposure_s", "seconds")):
+            if not (math.isfinite(value := getattr(self, name)) and value >= 0):
+                raise ValueError(f"{name}: must be 0 or more {unit}, got {value}")
+        for name in ("name", "kind", "source"):
+            if not isinstance(text := getattr(self, name), str) or not text.isprintable():
+                raise ValueError(f"{name}: must be one line of text, got {one_line(repr(text))}")
+
+    # -- light --------------------------------------------------------------------------------------------------
+
+    @property
+    def code_steps(self) -> float:
+        """Steps of the code values between light 0 and 1; a fraction where one of them ends above 1."""
+        if self.gain_e_per_dn is None:
+            return float(2**self.bits - 1)
+        return self.photons_full_scale / self.gain_e_per_dn
+
+    @property
+    def saturation_e(self) -> float:
+        """Electrons at which the pixel or its code range is full, whichever is first; infinite where neither is known.
+
+        A light level above it cannot be recorded: expose for less.
+        """
+        code_range_e = math.inf if self.gain_e_per_dn is None else self.gain_e_per_dn * (2**self.bits - 1)
+        return min(math.inf if self.full_well_e is None else self.full_well_e, code_range_e)
+
+    def at(self, photons: float, *, exposure_s: float | None = None) -> Camera:
+        """Return the camera at a light level.
+
+        Parameters
+        ----------
+        photons : float, 1..1e7
+            Photo-electrons that the open shutter collects where the scene has the value 1. Levels above
+            :attr:`saturation_e` are computed as if the pixel could hold them.
+        exposure_s : float, optional
+            Duration of the whole exposure, seconds. The dark current's noise over it is added to the read noise, and
+            the camera returned has no dark current left; without it the dark current is not counted.
+
+        Raises
+        ------
+        ValueError
+            If a figure is outside its range.
+        """
+        level = _number("photons", photons)
+        if not _LEVELS[0] <= level <= _LEVELS[1]:
+            raise ValueError(f"photons: must lie within 1..1e7 photo-electrons at full scale, got {level:g}")
+        black = self.black_level
+        if self.gain_e_per_dn is not None:  # the pedestal is so many code values, and those are electrons
+            black = min(black * self.photons_full_scale / level, 1.0)
+        camera = replace(self, photons_full_scale=level, black_level=black)
+        if exposure_s is None:
+            return camera
+        if not (math.isfinite(time_s := _number("exposure_s", exposure_s)) and time_s > 0):
+            raise ValueError(f"exposure_s: must be above 0 seconds, got {time_s:g}")
+        noise_e = math.sqrt(self.read_noise_e**2 + self.dark_current_e_s * time_s)
+        return replace(camera, read_noise_e=noise_e, dark_current_e_s=0.0)
 
     # -- noise --------------------------------------------------------------------------------------------------
 
@@ -101,7 +186,7 @@ class Camera:
         """
         light = np.clip(np.asarray(signal, dtype=np.float64), 0.0, 1.0)
         shot = light / self.photons_full_scale
-        step = self._code_slope(light) / (2**self.bits - 1)
+        step = self._code_slope(light) / self.code_steps
         return np.asarray(shot + self.noise["read_sigma"] ** 2 + step**2 / 12, dtype=np.float64)
 
     def expose(self, light: ArrayLike, *, rng: np.random.Generator) -> FloatArray:
@@ -121,17 +206,40 @@ class Camera:
 
     def quantise(self, light: ArrayLike) -> FloatArray:
         """Clip (...) linear light to ``-black_level``..1 and round it to the nearest code value."""
-        levels = 2**self.bits - 1
+        steps = self.code_steps
         bounded = np.clip(np.asarray(light, dtype=np.float64), -self.black_level, 1.0)
         if self.response == "linear":
-            return np.asarray(np.rint(bounded * levels) / levels, dtype=np.float64)
-        return to_linear(np.rint(to_display(bounded) * levels) / levels)
+            codes = np.rint(bounded * steps) / steps
+            return np.asarray(np.minimum(codes, 1.0), dtype=np.float64)  # the last step may end above 1
+        return to_linear(np.rint(to_display(bounded) * steps) / steps)
 
     # -- files --------------------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Fields as a JSON document with its schema."""
-        return {"schema": SCHEMA, **asdict(self)}
+        """Fields as a JSON document with its schema; of a profile's fields those that are stated."""
+        stated = {key: value for key, value in asdict(self).items() if key not in _STATED or value}
+        return {"schema": SCHEMA, **stated}
+
+    @classmethod
+    def load(cls, name_or_file: str | Path) -> Camera:
+        """Load a profile by its name, or a camera of one's own by the path of its ``.json`` or ``.toml`` file.
+
+        Raises
+        ------
+        ValueError
+            If there is no such profile, or the file does not describe a camera.
+        OSError
+            If the file cannot be read.
+        """
+        if isinstance(name_or_file, Path) or Path(name_or_file).suffix.lower() in (".json", ".toml"):
+            return cls.from_file(name_or_file)
+        names = camera_names()
+        if name_or_file in names:
+            with resources.as_file(_profiles() / f"{name_or_file}.toml") as path:
+                return cls.from_file(path)
+        near = get_close_matches(name_or_file.lower(), names, n=3, cutoff=0.5)
+        right = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(names)}."
+        raise ValueError(f"camera: {one_line(name_or_file)!r} is not known; {right} Or name a .json or .toml file")
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Camera:
@@ -179,8 +287,8 @@ class Camera:
         """
         suffix = _suffix(path)
         items = self.to_dict().items()
-        # numbers and plain words read the same in JSON and TOML
-        toml = "".join(f"{key} = {json.dumps(value)}\n" for key, value in items)
+        # numbers and printable text read the same in JSON and TOML
+        toml = "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in items)
         write_text(path, toml if suffix == ".toml" else json.dumps(dict(items), indent=1) + "\n")
 
     def _code_slope(self, light: FloatArray) -> FloatArray:
@@ -189,6 +297,27 @@ class Camera:
             return np.ones_like(light)
         code = to_display(light)
         return np.where(code <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((code + 0.055) / 1.055) ** 1.4)
+
+
+def camera_names() -> tuple[str, ...]:
+    """Names of the profiles that :meth:`Camera.load` knows, sorted."""
+    files = (item.name for item in _profiles().iterdir())
+    return tuple(sorted(name.removesuffix(".toml") for name in files if name.endswith(".toml")))
+
+
+def _profiles() -> Any:
+    """Folder of the profiles, a Traversable."""
+    return resources.files("cep") / "optics" / "cameras"
+
+
+def _number(name: str, value: Any) -> float:
+    """Check that a field is a number."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise ValueError(f"{name}: must be a number, got {value!r}")
+    try:
+        return float(value)
+    except OverflowError:  # whole numbers have no largest one
+        raise ValueError(f"{name}: must be a number below 1e308, got a larger one") from None
 
 
 def _suffix(path: Path | str) -> str:

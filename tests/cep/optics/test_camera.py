@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cep.optics.camera import SCHEMA, Camera
+from cep.optics.camera import SCHEMA, Camera, camera_names
 from cep.optics.capture import capture
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
@@ -92,7 +92,7 @@ def test_same_seed_same_photo():
 
 @pytest.mark.parametrize("name", ["camera.json", "camera.toml"])
 def test_file_round_trip(tmp_path, name):
-    camera = Camera(photons_full_scale=1234.5, read_noise_e=0.5, bits=10, response="srgb")
+    camera = Camera(1234.5, 0.5, 10, "srgb", name="b", source='"x" \\ é', full_well_e=9.5, least_exposure_s=1e-6)
     camera.to_file(tmp_path / name)
     assert Camera.from_file(tmp_path / name) == camera
     assert [p.name for p in tmp_path.iterdir()] == [name]
@@ -153,11 +153,134 @@ def test_bad_file_says_one_line_with_its_name(tmp_path, name, text, said):
         {"response": "gamma"},
         {"black_level": -0.1},
         {"read_noise_e": None},
+        *({"read_noise_e": bad} for bad in (float("nan"), "5")),
+        *({"full_well_e": bad} for bad in (0, -1, float("nan"), float("inf"), True)),
+        *({"gain_e_per_dn": bad} for bad in (0, -2.0, float("nan"))),
+        {"gain_e_per_dn": 2.0, "response": "srgb"},
+        *({"dark_current_e_s": bad} for bad in (-1, float("nan"))),
+        *({"least_exposure_s": bad} for bad in (-1e-6, float("inf"))),
+        *({"name": bad} for bad in (None, "a\nb", "\x7f")),
     ],
 )
 def test_bad_camera(fields):
     with pytest.raises(ValueError, match=next(iter(fields))):
         Camera(**fields)
+
+
+# -- light levels ---------------------------------------------------------------------------------------------------
+
+
+def test_a_fixed_gain_gives_steps_of_the_same_electrons_at_every_level():
+    camera = Camera(photons_full_scale=8000.0, read_noise_e=2.0, bits=12, gain_e_per_dn=2.0)
+    for photons in (50.0, 1000.0, 8000.0):
+        values = np.unique(camera.at(photons).quantise(np.linspace(0, 1, 20_001))) * photons
+        np.testing.assert_allclose(values, 2.0 * np.arange(photons / 2 + 1), atol=1e-9)
+        quantisation = camera.at(photons).noise_variance(0.0) * photons**2 - 2.0**2
+        assert quantisation == pytest.approx(2.0**2 / 12)
+
+
+def test_without_a_gain_the_code_range_follows_the_light_as_it_always_did():
+    camera = Camera(photons_full_scale=8000.0, bits=3, full_well_e=9000.0)
+    np.testing.assert_array_equal(camera.at(50).quantise([0.2, 0.5]), Camera(bits=3).quantise([0.2, 0.5]))
+
+
+@given(st.floats(0, 1), st.floats(0.3, 3000))
+def test_light_is_never_recorded_above_full_scale(light, gain):
+    camera = Camera(photons_full_scale=1000.0, gain_e_per_dn=gain)
+    assert 0 <= camera.quantise(light) <= 1
+    assert camera.quantise(light) == camera.quantise(camera.quantise(light))
+
+
+def test_dark_current_adds_its_shot_noise_once():
+    camera = Camera(read_noise_e=3.0, dark_current_e_s=800.0)
+    long = camera.at(1000, exposure_s=0.02)
+    assert long.read_noise_e == pytest.approx(5.0)  # sqrt(3^2 + 800 * 0.02)
+    assert long.at(1000, exposure_s=0.02) == long
+    assert camera.at(1000).read_noise_e == 3.0
+
+
+def test_a_pedestal_of_code_values_keeps_dim_exposures_unbiased():
+    camera = Camera(photons_full_scale=10_000.0, read_noise_e=5.0, gain_e_per_dn=2.5, black_level=0.01)
+    dim = camera.at(200)
+    assert dim.black_level * 200 == pytest.approx(100.0)  # electrons
+    dark = dim.expose(np.zeros(40_000), rng=np.random.default_rng(0))
+    assert abs(dark.mean() * 200) < 5 * 5.05 / 200
+
+
+def test_simulated_noise_of_a_fixed_gain_is_the_one_that_is_computed():
+    camera = Camera(photons_full_scale=5500.0, read_noise_e=10.0, bits=8, gain_e_per_dn=21.6, black_level=0.1).at(300)
+    pixels = camera.expose(np.full(100_000, 0.5), rng=np.random.default_rng(2))
+    assert pixels.var() == pytest.approx(float(camera.noise_variance(0.5)), rel=0.03)
+
+
+def test_saturation_is_the_smaller_of_well_and_code_range():
+    assert Camera(full_well_e=900.0, gain_e_per_dn=1.0, bits=10).saturation_e == 900
+    assert Camera(full_well_e=2000.0, gain_e_per_dn=1.0, bits=10).saturation_e == 1023
+    assert Camera(full_well_e=2000.0).saturation_e == 2000
+    assert Camera().saturation_e == math.inf
+    assert Camera(full_well_e=900.0).at(5000).photons_full_scale == 5000
+
+
+@pytest.mark.parametrize("photons", [0, 0.99, -5, 1.01e7, float("nan"), float("inf"), True, "many"])
+def test_a_level_out_of_range_is_refused(photons):
+    with pytest.raises(ValueError, match=r"^photons: must .*got"):
+        Camera().at(photons)
+
+
+@pytest.mark.parametrize("exposure_s", [0, -1, float("nan"), float("inf"), "1"])
+def test_an_exposure_out_of_range_is_refused(exposure_s):
+    with pytest.raises(ValueError, match=r"^exposure_s: must .*got"):
+        Camera(dark_current_e_s=1.0).at(100, exposure_s=exposure_s)
+
+
+# -- profiles -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", camera_names())
+def test_every_profile_is_a_camera_that_can_exist(name):
+    camera = Camera.load(name)
+    assert camera.name == name
+    assert camera.kind
+    assert "typical of its kind" in camera.source or any(mark in camera.source for mark in (".com", ".net", "manual"))
+    assert camera.read_noise_e < camera.photons_full_scale / 10
+    assert camera.photons_full_scale <= 1.001 * camera.saturation_e
+    assert 0.95 * camera.full_well_e < camera.saturation_e
+    if camera.gain_e_per_dn is not None:  # the steps are no coarser than twice the noise, nor absurdly fine
+        assert camera.read_noise_e / 20 < camera.gain_e_per_dn < 2.5 * camera.read_noise_e
+        assert camera.black_level * camera.photons_full_scale > 2 * camera.read_noise_e
+    assert 0 <= camera.dark_current_e_s < 1e4
+    assert camera.least_exposure_s < 0.1
+    assert Camera.from_dict(camera.to_dict()) == camera
+
+
+def test_profiles_are_of_a_dozen_kinds():
+    kinds = [Camera.load(name).kind for name in camera_names()]
+    assert len(kinds) >= 12
+    for kind in ("machine-vision CMOS", "phone", "full-frame", "sCMOS", "interline CCD", "slow-scan", "InGaAs", "EMCCD",
+                 "thermal", "8-bit video", "sent as 8 bit", "high-speed"):  # fmt: skip
+        assert any(kind in one for one in kinds), kind
+
+
+def test_a_profile_or_a_file_is_loaded(tmp_path):
+    camera = Camera.load("sony-imx250")
+    for name in ("mine.toml", "mine.json"):
+        camera.to_file(tmp_path / name)
+        assert Camera.load(tmp_path / name) == Camera.load(str(tmp_path / name)) == camera
+
+
+@pytest.mark.parametrize(
+    ("name", "near"), [("imx250", "sony-imx250"), ("Sony IMX174", "sony-imx174"), ("zzz", "known")]
+)
+def test_an_unknown_name_is_answered_with_the_nearest(name, near):
+    with pytest.raises(ValueError, match=rf"^camera: .*{name}.*{near}[^\n]*$"):
+        Camera.load(name)
+
+
+def test_a_camera_without_a_profiles_figures_has_the_document_it_always_had():
+    assert Camera(name="a").to_dict() == {**Camera().to_dict(), "name": "a"}
+    assert set(Camera().to_dict()) == {
+        "schema", "photons_full_scale", "read_noise_e", "bits", "response", "black_level"
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
