@@ -15,10 +15,10 @@ from cep.cli.options import COMMON
 __all__ = ["Command", "Group", "in_options"]
 
 _EXAMPLE = "Example: "
-_UNITS = ("_s", "_ms", "_ns", "_px", "_db", "_e", "_ppm", "_hz")
+_UNITS = ("_s", "_ms", "_ns", "_px", "_db", "_e", "_ppm", "_hz", "_dn")
 _SET_BY = {
     "amounts": ("drift",),
-    "bits": ("code", "codes"),
+    "bits": ("bits", "code", "codes"),
     "chips": ("chips", "code", "codes"),
     "effort": ("bound",),
     "length_px": ("linear",),

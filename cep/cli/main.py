@@ -14,6 +14,7 @@ from cep.cli import (
     bench,
     calibrate,
     calibration_set,
+    camera,
     code,
     controller,
     deblur,
@@ -79,10 +80,11 @@ app.command("simulate")(simulate.simulate)
 app.command("deblur")(deblur.deblur)
 app.command("export")(hardware.export)
 app.command("upload")(hardware.upload)
+app.add_typer(camera.camera, name="camera", cls=Group)
 app.add_typer(controller.hw, name="hw", cls=Group)
 app.add_typer(bench.bench, name="bench", cls=Group)
 app.command("demo")(demo.demo)
-for _group in (app, controller.hw, bench.bench):
+for _group in (app, camera.camera, controller.hw, bench.bench):
     for _command in _group.registered_commands:
         _command.cls = Command
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,11 +23,14 @@ __all__ = [
     "MIN_SIDE_PX",
     "PHOTO_SUFFIXES",
     "PICTURE_SUFFIXES",
+    "RAW_SUFFIXES",
+    "Mosaic",
     "Photo",
     "check_image_name",
     "encode_image",
     "parse_gamma",
     "read_image",
+    "read_mosaic",
     "read_photo",
     "write_image",
 ]
@@ -41,7 +46,9 @@ MIN_SIDE_PX = 16
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 """What :func:`write_image` writes."""
 
-_RAW = {".3fr", ".arw", ".cr2", ".cr3", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".srw"}
+RAW_SUFFIXES = (".3fr", ".arw", ".cr2", ".cr3", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".srw")
+"""RAW files, read with the package ``rawpy``."""
+
 _RAW_OPTIONS: dict[str, Any] = {
     "gamma": (1, 1),
     "output_bps": 16,
@@ -49,7 +56,7 @@ _RAW_OPTIONS: dict[str, Any] = {
     "no_auto_bright": True,
     "adjust_maximum_thr": 0.0,  # full scale is the sensor's, not the brightest pixel of this photo
 }
-PHOTO_SUFFIXES = (*PICTURE_SUFFIXES, ".webp", *sorted(_RAW))
+PHOTO_SUFFIXES = (*PICTURE_SUFFIXES, ".webp", *RAW_SUFFIXES)
 """Photos of a folder: what :func:`read_photo` reads, but for .mat files, which hold other things as well."""
 
 
@@ -70,6 +77,25 @@ class Photo:
     pixels: FloatArray
     bits: int
     warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """The sensor's own code values of a RAW file.
+
+    Attributes
+    ----------
+    green : (N,) uint16
+        Code values of the pixels under the first green filter; of all pixels where the sensor has no such filter.
+    black_dn : float
+        Code value without light, as the file states it.
+    white_dn : int
+        Largest code value.
+    """
+
+    green: NDArray[np.uint16]
+    black_dn: float
+    white_dn: int
 
 
 def read_image(path: Path | str, *, gamma: str | float = "srgb", variable: str = "y") -> FloatArray:
@@ -117,7 +143,7 @@ def read_photo(
     exponent = _exponent(gamma)
     suffix = source.suffix.lower()
     warnings: tuple[str, ...] = ()
-    if suffix in _RAW:
+    if suffix in RAW_SUFFIXES:
         decoded = _read_raw(source)
         exponent = 1.0
     elif suffix == ".mat":
@@ -286,7 +312,36 @@ def _read_mat(source: Path, variable: str) -> NDArray[Any]:
     return samples
 
 
+def read_mosaic(path: Path | str) -> Mosaic:
+    """Read a RAW file's code values as the sensor gave them, neither balanced nor interpolated.
+
+    Raises
+    ------
+    ValueError
+        If it is not a RAW file that LibRaw can read, or ``rawpy`` is missing; the line names it.
+    OSError
+        If the file cannot be read.
+    """
+    with _opened_raw(Path(path)) as raw:
+        if raw.raw_image_visible.ndim != 2:
+            raise ValueError(f"{path}: holds colours that were interpolated, and not the sensor's own values")
+        colours = raw.raw_colors_visible
+        chosen = colours == (1 if (colours == 1).any() else 0)
+        return Mosaic(
+            green=np.asarray(raw.raw_image_visible[chosen], dtype=np.uint16),
+            black_dn=float(raw.black_level_per_channel[int(colours[chosen][0])]),
+            white_dn=int(raw.white_level),
+        )
+
+
 def _read_raw(source: Path) -> NDArray[np.uint16]:
+    with _opened_raw(source) as raw:
+        return np.asarray(raw.postprocess(**_RAW_OPTIONS), dtype=np.uint16)
+
+
+@contextmanager
+def _opened_raw(source: Path) -> Iterator[Any]:
+    """Open a RAW file with LibRaw, whose complaints become one line."""
     regular_file(source)  # a missing file is reported before a missing package
     try:
         import rawpy
@@ -295,7 +350,7 @@ def _read_raw(source: Path) -> NDArray[np.uint16]:
     try:
         with decoder_output(), rawpy.imread(str(source)) as raw:
             check_px(raw.sizes.raw_width, raw.sizes.raw_height, source)
-            return np.asarray(raw.postprocess(**_RAW_OPTIONS), dtype=np.uint16)
+            yield raw
     except rawpy.LibRawError as error:
         reason = b"".join(part for part in error.args if isinstance(part, bytes)).decode(errors="replace")
         raise ValueError(f"{source}: not a RAW file that LibRaw can read ({one_line(reason or error)})") from None

@@ -45,9 +45,11 @@ SHUTTER = tuple(
     for name in ("list", "info", "load", "arm", "trigger", "abort", "calibrate", "monitor", "verify", "emulate")
 )
 """Talks with a device: nothing is drawn at random, and no file is written but those that an option names."""
+CAMERAS = ("camera list", "camera show")
+"""Read a profile, and write no file."""
 BENCHES = ("bench blind", "bench cep", "bench speed")
 """Their seed is part of the protocol's file: a table is made again from its protocol and photos alone."""
-GROUPED = (*SHUTTER, *BENCHES, "bench codes")
+GROUPED = (*CAMERAS, "camera estimate", *SHUTTER, *BENCHES, "bench codes")
 METRICS = {"min_mtf", "min_chip", "noise_gain_db", "mse_db", "flatness_var", "dnf_db"}
 
 
@@ -113,8 +115,8 @@ def test_completion_can_be_installed(cep):
     assert {"--install-completion", "--show-completion"} <= set(cep.out.split())
 
 
-@pytest.mark.parametrize("command", SHUTTER)
-def test_every_command_of_the_shutter_has_help_with_an_example(cep, command):
+@pytest.mark.parametrize("command", [*SHUTTER, *CAMERAS])
+def test_every_command_without_files_has_help_with_an_example(cep, command):
     cep(*command.split(), "--help")
     assert cep.code == 0
     page = " ".join(cep.out.replace("Examples:", "Example:").split())
@@ -122,14 +124,15 @@ def test_every_command_of_the_shutter_has_help_with_an_example(cep, command):
         assert text in page
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, *BENCHES, "bench codes"])
+@pytest.mark.parametrize("command", [*COMMANDS, "camera estimate", *BENCHES, "bench codes"])
 def test_every_command_has_help_with_an_example_and_the_common_options(cep, command):
     cep(*command.split(), "--help")
     assert cep.code == 0
     page = " ".join(cep.out.replace("Examples:", "Example:").split())
     for text in ("--json", "--force", "--output", "Example: cep " + command):
         assert text in page
-    assert ("--seed" in cep.out) == (command not in (*BENCHES, "refine"))  # a refinement draws nothing
+    draws_nothing = ("refine", "camera estimate")
+    assert ("--seed" in cep.out) == (command not in (*BENCHES, *draws_nothing))
 
 
 def test_commands_are_those_of_the_design():

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 import typer
 
-from cep.cli import bench, controller
+from cep.cli import bench, camera, controller
 from cep.cli.commands import in_options
 from cep.cli.main import app
 
@@ -25,6 +25,9 @@ FINE = {
     "simulate": ["sharp.png", "--linear", "9"],
     "deblur": ["blurred.png", "--trajectory", "trajectory.json"],
     "export": ["1011", "--format", "csv"],
+    "camera list": [],
+    "camera show": ["sony-imx250"],
+    "camera estimate": ["sharp.png", "blurred.png"],
     "demo": [],
     "bench": [],
     "bench blind": [],
@@ -39,6 +42,7 @@ def functions():
     """Each command's name and function."""
     named = {info.name: info.callback for info in app.registered_commands}
     named |= {f"bench {info.name}": info.callback for info in bench.bench.registered_commands}
+    named |= {f"camera {info.name}": info.callback for info in camera.camera.registered_commands}
     named |= {f"hw {info.name}": info.callback for info in controller.hw.registered_commands}
     return {**named, "bench": bench.everything}
 

@@ -1,0 +1,456 @@
+"""Photon-transfer curve: gain, read noise and full well of a camera, from pairs of evenly lit frames.
+
+The difference of two frames of the same light holds noise alone: what is fixed to the pixels cancels. Over the mean the
+variance is a line, ``variance = (mean - black) / gain + read noise^2``, until the pixels saturate.
+
+References
+----------
+Janesick, "Photon Transfer", SPIE Press, 2007. EMVA Standard 1288, release 3.1, sections 6.6 and 6.7.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.optics.camera import Camera
+from motdiff.simulate import to_display, to_linear
+
+__all__ = ["CodeRange", "FramePair", "PhotonTransfer", "TransferPoint", "find_code_range", "photon_transfer"]
+
+FloatArray = NDArray[np.float64]
+
+_DEPTHS = (8, 10, 12, 14, 16)  # bits of cameras whose codes lie at the lower end of 16-bit files
+_FIT_SHARE = 0.7  # of saturation: above it the response bends, EMVA 1288
+_CLIPPED = 0.005  # share of pixels at the end of the codes from which a pair's variance is too small
+_BLACK_CLIPPED = 0.1  # share of dark pixels at 0 from which the dark noise is not there to be seen
+_FALLEN = 0.1  # a brighter pair with so much less variance than a darker one is saturated
+_UNEQUAL = 0.05  # share by which the light of a pair's frames may differ
+_UNSURE = 0.25  # relative error from which a gain is no result
+_EMVA_LEAST_NOISE_DN = 0.24  # below it quantisation hides the noise
+
+
+@dataclass(frozen=True, eq=False)
+class FramePair:
+    """Statistics of two frames of the same light, in code values of the file.
+
+    Attributes
+    ----------
+    mean, variance : float
+        Of one frame: mean, and variance over time, with the quantisation's.
+    difference : float
+        Mean of the second frame less that of the first.
+    histogram : (65536,) int ndarray
+        Pixels of both frames with each code value.
+    pixels : int
+        Of one frame.
+    """
+
+    mean: float
+    variance: float
+    difference: float
+    histogram: NDArray[np.int64]
+    pixels: int
+
+    @classmethod
+    def of(cls, first: ArrayLike, second: ArrayLike, *, codes: ArrayLike | None = None) -> FramePair:
+        """Measure two frames.
+
+        Parameters
+        ----------
+        first, second : (...) uint8 or uint16 array_like
+            Code values, the same shape.
+        codes : (65536,) float array_like, optional
+            Light that each code value stands for, where that is not the code value itself.
+
+        Raises
+        ------
+        ValueError
+            If the shapes differ.
+        """
+        one, two = np.asarray(first), np.asarray(second)
+        if one.shape != two.shape:
+            raise ValueError(f"differ in size, {_size(one)} and {_size(two)} px")
+        light = np.arange(65536.0) if codes is None else np.asarray(codes, dtype=np.float64)
+        a, b = light[one], light[two]
+        change = b - a
+        return cls(
+            mean=float((a.mean() + b.mean()) / 2),
+            variance=float(change.var(ddof=1)) / 2,
+            difference=float(change.mean()),
+            histogram=np.bincount(one.ravel(), minlength=65536) + np.bincount(two.ravel(), minlength=65536),
+            pixels=one.size,
+        )
+
+    def quantile(self, share: float) -> int:
+        """Smallest code value that at least this share of the pixels does not exceed."""
+        return int(np.searchsorted(np.cumsum(self.histogram), share * 2 * self.pixels))
+
+
+@dataclass(frozen=True)
+class CodeRange:
+    """How a camera's code values lie in its files.
+
+    Attributes
+    ----------
+    bits : int
+        Of the camera.
+    spacing : float
+        Step of the file's values from one code value to the next.
+    top_dn : float
+        Largest code value.
+    assumed : str
+        What was assumed, one sentence; empty where nothing was.
+    """
+
+    bits: int
+    spacing: float = 1.0
+    top_dn: float = 0.0
+    assumed: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "top_dn", self.top_dn or float(2**self.bits - 1))
+
+
+@dataclass(frozen=True)
+class TransferPoint:
+    """One pair of flat frames on the curve.
+
+    Attributes
+    ----------
+    signal_dn : float
+        Mean above black, code values.
+    variance_dn2 : float
+        Variance of one frame over time, without that of the quantisation.
+    use : {"fitted", "above the fit", "saturated"}
+    """
+
+    signal_dn: float
+    variance_dn2: float
+    use: Literal["fitted", "above the fit", "saturated"]
+
+
+@dataclass(frozen=True)
+class PhotonTransfer:
+    """A camera's photon-transfer curve.
+
+    Attributes
+    ----------
+    gain_e_per_dn, gain_error : float
+        Electrons per code value, and its standard error.
+    read_noise_e, read_noise_error : float
+        Electrons rms, and its standard error.
+    full_well_e : float or None
+        Electrons at which the brightest frames saturate; None where none does.
+    full_well_is : {"", "pixel", "code range"}
+        What is full there.
+    black_dn : float
+        Code value without light.
+    codes : CodeRange
+    response : {"linear", "srgb"}
+    points : tuple of TransferPoint
+        By rising light.
+    dark_variance_dn2 : float or None
+    warnings : tuple of str
+    """
+
+    gain_e_per_dn: float
+    gain_error: float
+    read_noise_e: float
+    read_noise_error: float
+    full_well_e: float | None
+    full_well_is: Literal["", "pixel", "code range"]
+    black_dn: float
+    codes: CodeRange
+    response: Literal["linear", "srgb"]
+    points: tuple[TransferPoint, ...]
+    dark_variance_dn2: float | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def summary(self) -> str:
+        """What was found, in one sentence."""
+        well = "the full well was not reached"
+        if self.full_well_e is not None:
+            end = "the pixel is full" if self.full_well_is == "pixel" else f"the {self.codes.bits}-bit range ends"
+            well = f"{end} at {_round(self.full_well_e, 4):.0f} e-"
+        return (
+            f"{self.gain_e_per_dn:.3g} e- per code value, read noise {self.read_noise_e:.3g} e-, {well}; "
+            f"standard errors {self.gain_error / self.gain_e_per_dn:.1%} and {self.read_noise_error:.2g} e-."
+        )
+
+    def camera(self, *, name: str = "", source: str = "") -> Camera:
+        """Make the camera with these figures; value 1 is where it saturates, or the end of its code range."""
+        linear = self.response == "linear"
+        range_e = (self.codes.top_dn - (self.black_dn if linear else 0.0)) * self.gain_e_per_dn
+        full = min(range_e, self.full_well_e or range_e)
+        return Camera(
+            photons_full_scale=_round(full),
+            read_noise_e=_round(self.read_noise_e),
+            bits=self.codes.bits,
+            response=self.response,
+            black_level=_round(min(self.black_dn * self.gain_e_per_dn / full, 1.0)) if linear else 0.0,
+            name=name,
+            source=source,
+            full_well_e=None if self.full_well_e is None else _round(self.full_well_e),
+            gain_e_per_dn=_round(self.gain_e_per_dn) if linear else None,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Figures for JSON."""
+        return {
+            "gain_e_per_dn": self.gain_e_per_dn,
+            "gain_error_e_per_dn": self.gain_error,
+            "read_noise_e": self.read_noise_e,
+            "read_noise_error_e": self.read_noise_error,
+            "full_well_e": self.full_well_e,
+            "full_well_is": self.full_well_is or None,
+            "black_dn": self.black_dn,
+            "bits": self.codes.bits,
+            "points": [
+                {"signal_dn": point.signal_dn, "variance_dn2": point.variance_dn2, "use": point.use}
+                for point in self.points
+            ],
+        }
+
+
+def find_code_range(pairs: Sequence[FramePair], *, file_bits: int, bits: int | None = None) -> CodeRange:
+    """Find how many bits a camera has from the values that its files hold.
+
+    Cameras of 10, 12 or 14 bits write 16-bit files with their code values at the lower end, shifted to the upper end,
+    or spread over the whole range.
+
+    Parameters
+    ----------
+    pairs : sequence of FramePair
+    file_bits : {8, 16}
+    bits : int, optional
+        Of the camera, where known.
+
+    Raises
+    ------
+    ValueError
+        If the camera cannot have so many bits.
+    """
+    if bits is not None and not 1 <= bits <= file_bits:
+        raise ValueError(f"bits: must lie within 1..{file_bits} for files of {file_bits} bits, got {bits}")
+    held = np.flatnonzero(np.sum([pair.histogram for pair in pairs], axis=0))
+    largest = int(held[-1])
+    gap = int(np.diff(held).min()) if held.size > 1 else 1
+    assumed = ""
+    if bits is None:
+        bits = file_bits - round(math.log2(gap))
+        if gap == 1 and file_bits == 16:
+            bits = next(depth for depth in _DEPTHS if largest < 2**depth)
+            if largest < 2**bits - 1:
+                assumed = f"taken as a camera of {bits} bits, as no value exceeds {largest}; state them if it has more"
+    if largest < 2**bits:
+        return CodeRange(bits, assumed=assumed)
+    shift = 2 ** (file_bits - bits)
+    shifted = not (held % shift).any()
+    return CodeRange(bits, float(shift) if shifted else (2**file_bits - 1) / (2**bits - 1))
+
+
+def photon_transfer(
+    flats: Sequence[FramePair],
+    *,
+    codes: CodeRange,
+    dark: FramePair | None = None,
+    black_dn: float | None = None,
+    response: Literal["linear", "srgb"] = "linear",
+) -> PhotonTransfer:
+    """Fit a photon-transfer curve.
+
+    Parameters
+    ----------
+    flats : sequence of FramePair
+        Evenly lit; several levels of light up to saturation.
+    codes : CodeRange
+    dark : FramePair, optional
+        Without light, of the same exposure and gain.
+    black_dn : float, optional
+        Code value without light, where there are no dark frames; 0 when omitted.
+    response : {"linear", "srgb"}
+        Curve on which the code values are evenly spaced; the statistics of the pairs are those of linear light.
+
+    Raises
+    ------
+    ValueError
+        If the frames do not show a camera's noise; the line names the pair, counted from 1.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> def frame(electrons):  # 2 electrons per code value, read noise 6 electrons, black at 100
+    ...     noisy = rng.poisson(electrons, (200, 200)) + rng.normal(0, 6, (200, 200))
+    ...     return np.clip(np.rint(noisy / 2 + 100), 0, 4095).astype(np.uint16)
+    >>> flats = [FramePair.of(frame(level), frame(level)) for level in (500, 2000, 5000)]
+    >>> found = photon_transfer(flats, codes=CodeRange(12), dark=FramePair.of(frame(0), frame(0)))
+    >>> print(f"{found.gain_e_per_dn:.1f} e-/DN, {found.read_noise_e:.1f} e-")
+    2.0 e-/DN, 6.0 e-
+    """
+    warnings = [codes.assumed] if codes.assumed else []
+    if dark is not None:
+        black, dark_variance = dark.mean / codes.spacing, _variance(dark, codes, response)
+        warnings += _check_dark(dark, dark_variance)
+    else:
+        black, dark_variance = black_dn or 0.0, None
+        if black_dn is None:
+            warnings.append("no dark frames: black is taken as code value 0, on which the read noise depends")
+    for number, pair in enumerate(flats, 1):
+        if pair.variance == 0 and not _is_clipped(pair, codes):
+            raise ValueError(f"pair {number}: its frames are the same in every pixel; two exposures are needed")
+        _check_flat(number, pair, black * codes.spacing, dark)
+    order = sorted(flats, key=lambda pair: pair.mean)
+    signal = np.array([pair.mean for pair in order]) / codes.spacing - black
+    variance = np.array([_variance(pair, codes, response) for pair in order])
+    pixels = np.array([pair.pixels for pair in order])
+    saturated = _saturated(order, variance, codes)
+    if saturated.all():
+        raise ValueError("the frames are saturated throughout: expose some for less")
+    fitted = ~saturated
+    if saturated.any() and (fitted & (signal <= _FIT_SHARE * signal[saturated].max())).any():
+        fitted &= signal <= _FIT_SHARE * signal[saturated].max()
+    x, y, n = signal[fitted], variance[fitted], pixels[fitted]
+    if dark is not None and dark_variance is not None:
+        x, y, n = np.append(x, 0.0), np.append(y, dark_variance), np.append(n, dark.pixels)
+    slope, floor, slope_error, floor_error, bent = _line(x, y, n)
+    gain = 1 / slope
+    if floor < -4 * floor_error:
+        raise ValueError(
+            f"the noise at black would be below 0: black is not code value {black:g}; give dark frames or its value"
+        )
+    if floor_error > 0.2 * max(floor, 0.0):
+        warnings.append("the read noise is hardly seen beside the light's: give dark frames, or darker ones")
+    if bent:
+        warnings.append(f"the noise is off the line by up to {bent:.0%}: the response is bent or noise was filtered")
+    noise_dn2 = max(floor, floor_error)
+    full_well, kind = _full_well(order, saturated, variance, slope * signal + floor, codes, black, gain, response)
+    uses: list[Literal["fitted", "above the fit", "saturated"]] = [
+        "saturated" if full else "fitted" if used else "above the fit"
+        for full, used in zip(saturated, fitted, strict=True)
+    ]
+    return PhotonTransfer(
+        gain_e_per_dn=gain,
+        gain_error=gain**2 * slope_error,
+        read_noise_e=gain * math.sqrt(noise_dn2),
+        read_noise_error=gain * floor_error / (2 * math.sqrt(noise_dn2)),
+        full_well_e=full_well,
+        full_well_is=kind,
+        black_dn=black,
+        codes=codes,
+        response=response,
+        points=tuple(map(TransferPoint, signal.tolist(), np.maximum(variance, 0.0).tolist(), uses)),
+        dark_variance_dn2=dark_variance,
+        warnings=tuple(warnings),
+    )
+
+
+def _variance(pair: FramePair, codes: CodeRange, response: str) -> float:
+    """Variance over time without the quantisation's, code values squared."""
+    step = 1.0
+    if response == "srgb":
+        half, value = 0.5 / codes.top_dn, float(to_display(pair.mean / codes.spacing / codes.top_dn))
+        low, high = to_linear(np.clip([value - half, value + half], 0, 1))
+        step = float(high - low) * codes.top_dn
+    return pair.variance / codes.spacing**2 - step**2 / 12
+
+
+def _check_dark(dark: FramePair, variance_dn2: float) -> list[str]:
+    """Warnings of dark frames; raises ValueError where they show no noise."""
+    at_zero = dark.histogram[0] / (2 * dark.pixels)
+    if at_zero > _BLACK_CLIPPED:
+        raise ValueError(f"dark: {at_zero:.0%} of its pixels are at code value 0; raise the camera's black level")
+    if dark.variance == 0:
+        raise ValueError("dark: its frames are the same in every pixel; two exposures are needed")
+    if at_zero > _CLIPPED:
+        return [f"{at_zero:.1%} of the dark pixels are at code value 0: the read noise is larger than stated"]
+    if variance_dn2 < _EMVA_LEAST_NOISE_DN**2:
+        return ["the dark noise is below a quarter of a code value: quantisation hides the read noise"]
+    return []
+
+
+def _check_flat(number: int, pair: FramePair, black: float, dark: FramePair | None) -> None:
+    light, error = pair.mean - black, math.sqrt(2 * pair.variance / pair.pixels)
+    if light <= 5 * error:
+        of = f"the dark frames, {black:g}" if dark is not None else f"black, {black:g}"
+        raise ValueError(f"pair {number}: its mean of {pair.mean:.5g} is not above that of {of}; flats need light")
+    if abs(pair.difference) > _UNEQUAL * light + 5 * error:
+        raise ValueError(
+            f"pair {number}: its frames differ in light by {abs(pair.difference) / light:.0%}; give the two frames of "
+            "each level one after the other"
+        )
+
+
+def _is_clipped(pair: FramePair, codes: CodeRange) -> bool:
+    end = math.ceil((codes.top_dn - 0.5) * codes.spacing)
+    return bool(pair.histogram[end:].sum() > _CLIPPED * 2 * pair.pixels)
+
+
+def _saturated(order: Sequence[FramePair], variance: FloatArray, codes: CodeRange) -> NDArray[np.bool_]:
+    """Which pairs, by rising light, are clipped or have less noise than a darker one."""
+    clipped = np.array([_is_clipped(pair, codes) for pair in order])
+    peak = int(np.argmax(np.where(clipped, -np.inf, variance)))
+    scatter = 5 * math.sqrt(4 / min(pair.pixels for pair in order))  # of a ratio of two variances
+    fallen = (np.arange(len(order)) > peak) & (variance < (1 - max(_FALLEN, scatter)) * variance[peak])
+    return np.asarray(clipped | fallen)
+
+
+def _line(x: FloatArray, y: FloatArray, n: NDArray[np.int64]) -> tuple[float, float, float, float, float]:
+    """Fit ``y = slope x + floor`` to variances of ``n`` pixels: both, their errors, and a misfit worth a warning."""
+    if x.size < 2 or np.ptp(x) < 0.1 * x.max():
+        raise ValueError("the frames have one level of light: give dark frames, or flats of other levels too")
+    basis = np.stack([x, np.ones_like(x)], axis=1)
+    error = _scatter(y, n)
+    for _ in range(4):  # errors by the fit: those by the measured variances would favour the low ones
+        weights = 1 / error**2
+        covariance = np.linalg.inv(basis.T @ (weights[:, None] * basis))
+        slope, floor = (float(value) for value in covariance @ (basis.T @ (weights * y)))
+        error = _scatter(np.maximum(basis @ (slope, floor), 0.1 * np.abs(y)), n)
+    slope_error, floor_error = (float(value) for value in np.sqrt(np.diag(covariance)))
+    if slope <= 0:
+        raise ValueError("the noise does not grow with the light: these are no frames as the sensor made them")
+    if slope_error > _UNSURE * slope:
+        raise ValueError("the levels of light are too alike, or the frames too small, to tell the gain")
+    off = np.abs(basis @ (slope, floor) - y)
+    bent = off[(off > 5 * error) & (off > 0.05 * y)] / y[(off > 5 * error) & (off > 0.05 * y)]
+    return slope, floor, slope_error, floor_error, float(bent.max(initial=0.0))
+
+
+def _scatter(variance: FloatArray, n: NDArray[np.int64]) -> FloatArray:
+    """Add the standard error of variances of ``n`` pixels and what rounding to code values may do to small ones.
+
+    Rounding adds 1/12 to a variance, and for a Gaussian of variance v up to (4 v + 1 / pi^2) exp(-2 pi^2 v) more or
+    less, by where its mean lies between two code values.
+    """
+    v = np.maximum(variance, 1e-3)
+    rounding = (4 * v + 1 / np.pi**2) * np.exp(-2 * np.pi**2 * v)
+    return np.asarray(np.hypot(v * np.sqrt(2 / n), rounding))
+
+
+def _full_well(
+    order: Sequence[FramePair], saturated: NDArray[np.bool_], variance: FloatArray, expected: FloatArray,
+    codes: CodeRange, black: float, gain: float, response: str,
+) -> tuple[float | None, Literal["", "pixel", "code range"]]:  # fmt: skip
+    """Electrons at which the brightest pair saturates, and what is full there."""
+    if not saturated[-1]:
+        return None, ""
+    # frames that are full everywhere have the noise of reading alone, and their median is the level
+    value = order[-1].quantile(0.5 if variance[-1] < 0.2 * expected[-1] else 0.999) / codes.spacing
+    kind: Literal["pixel", "code range"] = "code range" if value > codes.top_dn - 1 else "pixel"
+    if response == "srgb":
+        value = float(to_linear(value / codes.top_dn)) * codes.top_dn
+    return gain * (value - black), kind
+
+
+def _size(frame: NDArray[Any]) -> str:
+    return " x ".join(str(length) for length in frame.shape[1::-1])
+
+
+def _round(value: float, digits: int = 6) -> float:
+    return float(f"{value:.{digits}g}")
