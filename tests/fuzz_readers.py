@@ -92,7 +92,11 @@ def _camera_json_seeds():
 
 
 def _camera_toml_seeds():
-    return [b'schema = "cep.camera/1"\nphotons_full_scale = 9000.0\nread_noise_e = 3\nbits = 12\nresponse = "srgb"\n']
+    profile = _file("cep", "optics", "cameras", "sony-imx250.toml")()
+    return [
+        *profile,
+        b'schema = "cep.camera/1"\nphotons_full_scale = 9000.0\nread_noise_e = 3\nbits = 12\nresponse = "srgb"\n',
+    ]
 
 
 def _file(*parts):
