@@ -416,7 +416,9 @@ def _line(x: FloatArray, y: FloatArray, n: NDArray[np.int64]) -> tuple[float, fl
     if slope <= 0:
         raise ValueError("the noise does not grow with the light: these are no frames as the sensor made them")
     if slope_error > _UNSURE * slope:
-        raise ValueError("the levels of light are too alike, or the frames too small, to tell the gain")
+        raise ValueError(
+            "the noise hardly grows with the light: its levels are too alike, or the frames too small, for a gain"
+        )
     off = np.abs(basis @ (slope, floor) - y)
     bent = off[(off > 5 * error) & (off > 0.05 * y)] / y[(off > 5 * error) & (off > 0.05 * y)]
     return slope, floor, slope_error, floor_error, float(bent.max(initial=0.0))
