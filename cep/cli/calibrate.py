@@ -219,8 +219,9 @@ def calibrate(
             f"in this order in time with probability {found.confidence:.2f}, and then exact to "
             f"{result['path_uncertainty_px']:.2g} px"
         )
+    still = "" if found.details.get("motion_blur", True) else f"{found.warnings[0]}.\n"
     finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, {sure}; "
+        f"{still}{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, {sure}; "
         f"{found.method}, {seconds:.1f} s"
     ))  # fmt: skip
 

@@ -19,6 +19,8 @@ __all__ = ["calibrate_folder", "describe_motion", "photos_in", "sharp_of", "unre
 
 
 _SUMMARY = "motions.csv"
+_OF_THE_ESTIMATE = ("psf_confidence", "path_confidence", "order_confidence", "path_uncertainty_px")
+"""Figures of some estimators alone."""
 _COLUMNS = (
     "photo", "length_px", "extent_px", "direction", "confidence", "seconds", "method", "warnings", "failure",
 )  # fmt: skip
@@ -149,7 +151,7 @@ def describe_motion(
         "extent_px": motion.extent_px,
         "direction": motion.direction,
         "confidence": found.confidence,
-        **{name: found.details[name] for name in ("order_confidence", "path_uncertainty_px") if name in found.details},
+        **{name: found.details[name] for name in _OF_THE_ESTIMATE if name in found.details},
         "seconds": seconds,
         "warnings": warnings,
         "files": list(files.values()),

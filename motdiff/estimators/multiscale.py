@@ -13,12 +13,14 @@ from scipy import ndimage
 
 from motdiff.crops import CROP_PX, best_crops, textured_luminance
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.doubts import doubted
 from motdiff.estimators.kernel_score import uneven_blur_warning
 from motdiff.metrics import mnc_subpixel
 from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.threads import one_thread_a_call
 from motdiff.tracing import is_tangled, simplest_trajectory
+from motdiff.trajectory import Trajectory
 
 __all__ = ["BlindEstimator", "Found", "without_faint_parts"]
 
@@ -35,6 +37,9 @@ _LOST = 0.5
 # kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px, six
 _WEB_PX, _WEB_TURNS, _WEB_CONFIDENCE = 200.0, 4.0, 0.2
 _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
+# of paths whose kernel is good, the share that is right to within 1 px, in length and order: of arcs, bends and tangles
+_BENT_TURNS = 1.3
+_ARC_RIGHT, _BENT_RIGHT, _TANGLED_RIGHT = 0.9, 0.3, 0.1
 
 
 @dataclass(frozen=True)
@@ -139,6 +144,8 @@ class BlindEstimator(ABC):
                 alone = self.single(best.crops, best.found)
                 uneven = uneven_blur_warning(best.crops, alone, best.found.kernels[best.found.best])
             estimate = _described(best, self.method, uneven)
+            outgrown = _outgrown(best, self.largest_px)
+            estimate = doubted(estimate, levels[0].crops, uneven=uneven is not None, outgrown=outgrown)
             self._progress.finish()
             return estimate
 
@@ -167,10 +174,14 @@ def _textured_crops(grey: FloatArray, factor: int, count: int) -> FloatArray:
 def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:
     """Whether the blur is too large for the search, or the search failed in a large photo."""
     side_px = full_side_px // level.factor
-    y, x = np.nonzero(level.found.kernels[level.found.best])
-    outgrown = max(np.ptp(y), np.ptp(x)) + 1 > _LARGEST_EXTENT * largest_px
     lost = level.found.confidence < _LOST and side_px >= 2 * CROP_PX
-    return bool((outgrown and side_px >= _LEAST_HALVED_PX) or lost)
+    return (_outgrown(level, largest_px) and side_px >= _LEAST_HALVED_PX) or lost
+
+
+def _outgrown(level: _Level, largest_px: int) -> bool:
+    """Whether the kernel found is about as large as the largest that is searched."""
+    y, x = np.nonzero(level.found.kernels[level.found.best])
+    return bool(max(np.ptp(y), np.ptp(x)) + 1 > _LARGEST_EXTENT * largest_px)
 
 
 def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate:
@@ -191,12 +202,13 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
     warnings = list(of_the_psf)
     confidence = found.confidence
     length_px, extent_px = trajectories[0].length_px, trajectories[0].extent_px
+    tangled = is_tangled(trajectories[0].scaled(1 / level.factor))  # strands as searched
     if length_px > max(_WEB_PX * level.factor, _WEB_TURNS * extent_px):  # the limit is in pixels of what was searched
         confidence = min(confidence, _WEB_CONFIDENCE)
         warnings.append(
             f"the path found is {length_px:.0f} px long within {extent_px:.0f} px: more a web of noise than a motion"
         )
-    elif confidence >= _LOST and is_tangled(trajectories[0].scaled(1 / level.factor)):  # strands as searched
+    elif confidence >= _LOST and tangled:
         warnings.append(
             f"the path found is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a blur kernel does "
             "not tell the order of crossing strands: a code searched along it may be no better than a published one; "
@@ -223,9 +235,18 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
             "scale": 1 / level.factor,
             **found.details,
             "trajectory_psf_mnc": mnc_subpixel(psf, drawn),
+            "psf_confidence": found.confidence,
+            "path_confidence": confidence * _path_share(trajectories[0], tangled=tangled),
         },
         psf_warnings=tuple(of_the_psf),
     )
+
+
+def _path_share(path: Trajectory, *, tangled: bool) -> float:
+    """Share of such paths that are right in length and order, where their kernels are good."""
+    if tangled:
+        return _TANGLED_RIGHT
+    return _BENT_RIGHT if path.length_px > _BENT_TURNS * path.extent_px else _ARC_RIGHT
 
 
 def without_faint_parts(kernel: FloatArray) -> FloatArray:

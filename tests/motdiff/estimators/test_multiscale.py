@@ -47,6 +47,19 @@ class FakeSearch(BlindEstimator):
         return self.singles or [found.kernels[found.best]] * len(crops)
 
 
+@pytest.fixture(autouse=True)
+def undoubted(monkeypatch):
+    """The kernels here are not the blur of the photos: the photo's doubts are tests of their own, test_doubts.py."""
+    asked = []
+
+    def kept(estimate, crops, **given):
+        asked.append((crops, given))
+        return estimate
+
+    monkeypatch.setattr("motdiff.estimators.multiscale.doubted", kept)
+    return asked
+
+
 def noise(*shape, seed=0):
     return np.random.default_rng(seed).random(shape)
 
@@ -423,10 +436,33 @@ def test_what_it_returns_keeps_the_conventions():
         "scale": 1.0,
         "answer": 1,
         "trajectory_psf_mnc": pytest.approx(1, abs=0.01),
+        "psf_confidence": 0.9,
+        "path_confidence": pytest.approx(0.9 * 0.9),
     }
     scene = noise(60, 60)
     blurred = blur_valid(scene, estimate.psf[16:49, 16:49])  # a true convolution about the middle
     np.testing.assert_allclose(blurred, blur_valid(scene, line(9, side=33)), atol=1e-9)
+
+
+def test_the_estimate_is_doubted_on_the_photo_at_full_size(undoubted):
+    found_in(noise(300, 300), FakeSearch((LONG, UNSURE), (line(18), SURE)))
+    ((crops, given),) = undoubted
+    assert crops.shape == (1, 300, 300)
+    assert given == {"uneven": False, "outgrown": False}
+    found_in(noise(100, 100), FakeSearch((LONG, SURE)))
+    assert undoubted[-1][1]["outgrown"]
+
+
+@pytest.mark.parametrize(
+    ("path", "share"),
+    [([[0, 0], [10, 0], [20, 2]], 0.9), ([[0, 0], [14, 0], [14, 12]], 0.3)],
+    ids=["arc", "bent"],
+)
+def test_a_path_is_less_sure_than_its_psf_the_more_it_bends(path, share):
+    kernel = Trajectory.from_samples(path).psf(KERNEL_PX)
+    estimate, _ = found_in(noise(100, 100), FakeSearch((kernel, 0.8)))
+    assert estimate.details["psf_confidence"] == estimate.confidence == 0.8
+    assert estimate.details["path_confidence"] == pytest.approx(0.8 * share)
 
 
 # ---- refusals

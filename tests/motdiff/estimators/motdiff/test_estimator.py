@@ -306,6 +306,10 @@ def test_an_oracle_s_motion_is_found(monkeypatch, no_search, shaken, refine):
     assert details.pop("chosen") in ("sample", "mean of samples")
     assert details.pop("trajectory_psf_mnc") > 0.9
     assert details.pop("sample_agreement") == pytest.approx(1, abs=1e-3)
+    assert details.pop("psf_confidence") == estimate.confidence
+    assert details.pop("path_confidence") == pytest.approx(0.9 * estimate.confidence)
+    assert details.pop("steep_edges") > 20
+    assert details.pop("sharpest_edges_px") > 2
     assert details == {"crops": 1, "scale": 1.0, "samples": 8, "classical": 3, "steps": 4}
 
 
