@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 
+from cep.optics.camera import Camera
 from cep.optics.response import ShutterResponse
 from cep.search.limits import RunLimits
 from hw.device import DeviceProfile
 from hw.program import Program
 
-__all__ = ["Playable", "chip_time_ns", "limits_of_device", "response_of_device", "unplayable", "within_device"]
+__all__ = [
+    "Playable",
+    "chip_time_ns",
+    "limits_of_device",
+    "response_of_device",
+    "unplayable",
+    "within_camera",
+    "within_device",
+]
 
 _LONGEST_S = 3600.0
 
@@ -48,6 +58,11 @@ def within_device(
     if most < low:
         raise ValueError(f"{profile.name}: at most {most} of {chips} chips may be open, at least {low} were asked for")
     return Playable(runs.tightened(limits), (low, min(high, most)), response_of_device(profile, chip_ns))
+
+
+def within_camera(camera: Camera, *, chip_ns: int, runs: RunLimits) -> RunLimits:
+    """Tighten limits by the shortest exposure of a camera whose own shutter plays the code."""
+    return runs.tightened(RunLimits(min_open=max(1, math.ceil(camera.least_exposure_s * 1e9 / chip_ns - 1e-9))))
 
 
 def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tuple[RunLimits, int]:

@@ -15,7 +15,7 @@ from cep.optics.response import ShutterResponse
 from cep.optics.timeline import check_lengths, checked_edges
 from cep.proofs.measure import CodeMetrics, measure, worst_of
 from cep.search.limits import Limits, RunLimits, check_feasible, checked_mask
-from cep.search.playable import chip_time_ns, within_device
+from cep.search.playable import chip_time_ns, within_camera, within_device
 from cep.search.sampling import draw
 from cep.search.scenarios import Scenario
 from hw.device import DeviceProfile, load_profile
@@ -134,7 +134,8 @@ class SearchProblem:
             Length of the exposure, which sets ``chip_ns``, to the device's nearest tick.
         device : DeviceProfile or str, optional
             Shutter that must be able to play the codes, or its name as of :func:`hw.device.load_profile`: its limits
-            tighten ``runs`` and the open range, and the search counts its rise and fall.
+            tighten ``runs`` and the open range, and the search counts its rise and fall. Without one the camera's own
+            shutter plays them, and its shortest exposure is the shortest opening.
         **options
             The other fields.
 
@@ -159,7 +160,10 @@ class SearchProblem:
             if "chip_ns" in options:
                 raise ValueError("exposure_s and chip_ns: give one of them")
             options["chip_ns"] = chip_time_ns(exposure_s, chips, profile)
-        if profile is not None:
+        if profile is None:
+            camera, chip_ns = options.get("camera", Camera()), options.get("chip_ns", cls.chip_ns)
+            options["runs"] = within_camera(camera, chip_ns=chip_ns, runs=options.get("runs", RunLimits()))
+        else:
             played = within_device(
                 profile,
                 chips=chips,
@@ -171,6 +175,11 @@ class SearchProblem:
             options |= {"runs": played.runs, "response": played.response}
         paths = (motion if isinstance(motion, Trajectory) else motion.best for motion in motions)
         return cls(chips=chips, scenarios=tuple(Scenario(path) for path in paths), open_range=open_range, **options)
+
+    def with_dark_noise(self) -> SearchProblem:
+        """Return the problem with the noise of the exposure's dark current in its camera's read noise."""
+        exposure_s = self.chips * self.chip_ns * 1e-9
+        return replace(self, camera=self.camera.at(self.camera.photons_full_scale, exposure_s=exposure_s))
 
     @property
     def on_circle(self) -> bool:

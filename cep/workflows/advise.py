@@ -321,7 +321,8 @@ def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 
     """
     if any(code.chips != problem.chips for code in codes):
         raise ValueError(f"codes: must have {problem.chips} chips")
-    return _judged(problem, [problem.camera], [*ordinary_ways(problem), *codes], path_error_px=path_error_px)[0]
+    lit = problem.with_dark_noise()
+    return _judged(lit, [lit.camera], [*ordinary_ways(lit), *codes], path_error_px=path_error_px)[0]
 
 
 def advise(
@@ -346,7 +347,7 @@ def advise(
     *codes : ShutterCode
         Codes of the user's own to judge as well.
     levels : sequence of float
-        Photo-electrons at full scale, 1..1e7.
+        Photo-electrons at full scale, 1..1e7. Those at which the camera is full are left out.
     path_error_px : float
         Rms error of the path where it is an estimate. Every way is judged with it, the codes are searched without.
     seed : int
@@ -358,7 +359,7 @@ def advise(
     Raises
     ------
     ValueError
-        If the problem has no motion or it cannot be resolved, or a level is out of range.
+        If the problem has no motion or it cannot be resolved, or a level or the camera's own light is out of range.
 
     Examples
     --------
@@ -375,8 +376,15 @@ def advise(
     for scenario in problem.scenarios:
         check_frame(scenario.trajectory)
         check_resolved(scenario.trajectory, problem.chips)
-    light = sorted({*map(float, levels), problem.camera.photons_full_scale})
-    cameras = [replace(problem.camera, photons_full_scale=level) for level in light]
+    own, full_e = problem.camera.photons_full_scale, problem.camera.saturation_e
+    if own > full_e:
+        raise ValueError(
+            f"photons_full_scale: this camera is full at {full_e:,.0f} electrons, got a light level of {own:,.0f}; "
+            "give what an exposure that it can record collects"
+        )
+    problem = problem.with_dark_noise()
+    light = sorted({*(float(level) for level in levels if level <= full_e), own})
+    cameras = [problem.camera.at(level) for level in light]
     pool: list[ShutterCode] = list(codes)
     parts = len(cameras) + 1
     for done, camera in enumerate(cameras):
@@ -386,7 +394,7 @@ def advise(
         pool += [*ordinary, *_searched(lit, [*ordinary, *pool], seed=seed, threads=threads)]
     progress(len(cameras) / parts, "judging")
     judged = _judged(problem, cameras, pool, path_error_px=path_error_px)
-    here = judged[light.index(problem.camera.photons_full_scale)]
+    here = judged[light.index(own)]
     progress(1.0, "")
     return Advice(problem, here, tuple(judged), path_error_px)
 
@@ -395,9 +403,10 @@ def best_psnr_db(
     problem: SearchProblem, *, path_error_px: float = 0.0, seed: int = 0, threads: int | None = None
 ) -> float:
     """Return the PSNR, dB, expected of the best way within the limits at the camera's light; see :func:`advise`."""
-    ordinary = ordinary_ways(problem)
-    codes = [*ordinary, *_searched(problem, ordinary, seed=seed, threads=threads)]
-    judged = _judged(problem, [problem.camera], codes, path_error_px=path_error_px)[0]
+    lit = problem.with_dark_noise()
+    ordinary = ordinary_ways(lit)
+    codes = [*ordinary, *_searched(lit, ordinary, seed=seed, threads=threads)]
+    judged = _judged(lit, [lit.camera], codes, path_error_px=path_error_px)[0]
     return max(way.psnr_db for way in judged.ways if way.within_limits)
 
 

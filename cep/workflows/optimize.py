@@ -283,6 +283,7 @@ def optimize(
     how = Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)
     if not problem.scenarios:
         raise ValueError("scenarios: need a motion to compare and certify codes along")
+    problem = problem.with_dark_noise()
     motion = along or problem.scenarios[0].trajectory
     check_frame(motion)
     check_resolved(motion, problem.chips)

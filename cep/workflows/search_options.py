@@ -67,13 +67,15 @@ def problem_of(
     ValueError
         If an option is malformed or they conflict; the line says which.
     """
-    from cep.search.playable import Playable, within_device
+    from cep.search.playable import Playable, within_camera, within_device
     from cep.search.problem import SearchProblem
 
     open_range = open_limits(wish.chips, wish.open_chips, wish.duty)
-    played = Playable(replace(wish.runs, fixed=_mask(wish)), open_range, None)
-    if profile is not None:
-        played = within_device(profile, chips=wish.chips, chip_ns=wish.chip_ns, open_range=open_range, runs=played.runs)
+    runs = replace(wish.runs, fixed=_mask(wish))
+    if profile is None:
+        played = Playable(within_camera(camera, chip_ns=wish.chip_ns, runs=runs), open_range, None)
+    else:
+        played = within_device(profile, chips=wish.chips, chip_ns=wish.chip_ns, open_range=open_range, runs=runs)
     return SearchProblem(
         chips=wish.chips,
         scenarios=_scenarios(wish, stored, rng),

@@ -15,7 +15,6 @@ from cep.proofs.measure import measure, measure_worst
 from cep.search.limits import RunLimits
 from cep.search.playable import limits_of_device, response_of_device
 from cep.search.problem import SearchProblem
-from cep.workflows.compare import expected_psnr_db
 from hw.device import DeviceProfile, load_profile
 from hw.program import Program
 from motdiff.trajectory import Trajectory
@@ -47,16 +46,6 @@ def test_a_path_that_goes_nowhere_is_told_so(length_px):
     check_resolved(path, 1)
     with pytest.raises(ValueError, match=r"stays in place, a code of 8 chips needs a motion of at least 2 px"):
         check_resolved(path, 8)
-
-
-def test_expected_psnr_is_that_of_the_metrics():
-    problem = SearchProblem.along(BENT, chips=9, objective="mse", camera=Camera())
-    codes = [CODE, ShutterCode("1" * 9)]
-    table = expected_psnr_db(problem, codes, photons=(1e3, 1e4))
-    assert table.shape == (2, 2)
-    for row, code in zip(table, codes, strict=True):
-        assert -row[1] == pytest.approx(measure_worst(BENT, code, camera=Camera()).mse_db, abs=0.02)
-        assert row[1] > row[0]  # more light never hurts
 
 
 def test_a_devices_limits_in_chips():

@@ -1,0 +1,95 @@
+"""Expected PSNR of the restoration: against the metrics, sampled paths and simulated photos."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cep.optics.band import grid_samples
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_otf
+from cep.optics.mtf import inverse_scene, noise_variance
+from cep.proofs.measure import measure_worst
+from cep.search.expected import equal_light_noise, expected_psnr_db, light_noise
+from cep.search.problem import SearchProblem
+from motdiff.motions import with_smooth_error
+from motdiff.trajectory import Trajectory
+
+BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
+CODES = [ShutterCode("110100011"), ShutterCode("1" * 9), ShutterCode("000011000")]
+CAMERA = Camera(photons_full_scale=2_000, read_noise_e=20)
+
+
+def problem(path=BENT, chips=9, **options):
+    return SearchProblem.along(path, chips=chips, camera=CAMERA, **options)
+
+
+def test_it_is_that_of_the_metrics():
+    dim = replace(CAMERA, photons_full_scale=500.0)
+    table = expected_psnr_db(problem(), CODES, noise=[light_noise(dim, 9), light_noise(CAMERA, 9)])
+    assert table.shape == (3, 2)
+    for row, code in zip(table, CODES, strict=True):
+        assert -row[1] == pytest.approx(measure_worst(BENT, code, camera=CAMERA).mse_db, abs=0.02)
+        assert row[1] > row[0]  # more light never hurts
+
+
+def test_at_equal_light_a_code_has_the_open_shutters_photo_electrons():
+    """Twice the light through half the time: shot noise as of half the light, relative to full scale."""
+    clean = Camera(photons_full_scale=1_000, read_noise_e=0, bits=16)
+    equal, same_time = equal_light_noise(clean, 8), light_noise(clean, 8)
+    assert equal[8] == pytest.approx(same_time[8])
+    # the signal mean is duty * scene; of the brighter lamp a full scale holds chips / k as many electrons
+    np.testing.assert_allclose(equal[1:], same_time[1:] * np.arange(1, 9) / 8, rtol=1e-4)
+
+
+def test_a_path_known_exactly_is_the_limit_of_one_that_is_not():
+    noise = [light_noise(CAMERA, 9)]
+    exact = expected_psnr_db(problem(), CODES, noise=noise)
+    near = expected_psnr_db(problem(), CODES, noise=noise, path_error_px=1e-4)
+    np.testing.assert_allclose(near, exact, atol=0.02)
+
+
+def test_an_error_of_the_path_costs_long_exposures_more_than_short_ones():
+    noise = [light_noise(CAMERA, 9)]
+    lost = [
+        expected_psnr_db(problem(), CODES, noise=noise, path_error_px=error)[:, 0] for error in (0.0, 0.25, 0.5, 1.0)
+    ]
+    code, opened, snapshot = np.array(lost).T
+    assert (np.diff(code) < 0).all() and (np.diff(opened) < 0).all()
+    assert code[0] - code[-1] > 1.0 > snapshot[0] - snapshot[-1]
+
+
+def test_the_filter_that_knows_the_error_does_as_expected_on_other_paths():
+    """Monte Carlo with paths of its own: the filter of the mean and the scatter has the error that is expected."""
+    error_px, code, path = 0.4, CODES[0], replace(BENT, direction="known")
+    expected = expected_psnr_db(problem(path), [code], noise=[light_noise(CAMERA, 9)], path_error_px=error_px)[0, 0]
+    rng, samples = np.random.default_rng(5), grid_samples(64)
+    otfs = []
+    for _ in range(200):
+        near = with_smooth_error(path, error_px, rng=rng)
+        at = (np.arange(9) + 0.5) / 9
+        shift = code.array @ (near.at(at) - path.at(at)) / code.open_chips
+        turn = np.exp(2j * np.pi * (shift[0] * samples.fx + shift[1] * samples.fy))
+        otfs.append(coded_otf(near, code, samples.fx, samples.fy) * turn)
+    known, other = np.array(otfs[:100]), np.array(otfs[100:])
+    inverse, noise = inverse_scene(samples)[:, 0], noise_variance(CAMERA, code.duty)
+    gain = np.conj(known.mean(axis=0)) / ((np.abs(known) ** 2).mean(axis=0) + noise * inverse)
+    errors = np.abs(1 - gain * other) ** 2 / inverse + np.abs(gain) ** 2 * noise
+    assert expected == pytest.approx(-10 * np.log10((errors @ samples.weight).mean()), abs=0.3)
+
+
+def test_a_straight_path_that_is_known_to_so_much_bends():
+    straight = SearchProblem.along(Trajectory.straight(12.0), chips=12, camera=CAMERA)
+    codes = [ShutterCode("1" * 12), ShutterCode("110100011101")]
+    noise = [light_noise(CAMERA, 12)]
+    exact, uncertain = (expected_psnr_db(straight, codes, noise=noise, path_error_px=e) for e in (0.0, 0.5))
+    assert (uncertain < exact).all()
+
+
+@pytest.mark.parametrize("error_px", [-1.0, float("nan"), float("inf")])
+def test_a_wrong_error_is_refused(error_px):
+    with pytest.raises(ValueError, match="path_error_px: must be 0 px or more"):
+        expected_psnr_db(problem(), CODES, noise=[light_noise(CAMERA, 9)], path_error_px=error_px)
+    with pytest.raises(ValueError, match="need a motion"):
+        expected_psnr_db(SearchProblem(chips=9), CODES, noise=[light_noise(CAMERA, 9)])

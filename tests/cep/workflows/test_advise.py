@@ -1,0 +1,188 @@
+"""The verdict: never a code while something simpler is better, and the published limit of what a code can gain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import cep
+from cep.optics.band import band_samples
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_otf
+from cep.search.expected import expected_psnr_db, light_noise
+from cep.search.limits import RunLimits
+from cep.search.problem import SearchProblem
+from cep.workflows.advise import WORTH_DB, advise, suited_chips, verdict
+from hw.device import DeviceProfile
+from motdiff.motions import boracchi_foi
+from motdiff.trajectory import Trajectory
+
+NOISY, QUIET = Camera(photons_full_scale=10_000, read_noise_e=50), Camera(photons_full_scale=10_000, read_noise_e=2)
+STRAIGHT = Trajectory.straight(24.0)
+
+
+def along(path=STRAIGHT, chips=24, **options):
+    return SearchProblem.along(path, chips=chips, **options)
+
+
+# -- what is advised ------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=200, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_no_code_is_advised_while_a_shorter_exposure_within_the_limits_is_better(seed):
+    """Brute force over all single exposures, on random motions, cameras, limits and codes."""
+    rng = np.random.default_rng(seed)
+    chips = int(rng.integers(6, 15))
+    path = Trajectory.straight(rng.uniform(4, 30)) if rng.random() < 0.5 else boracchi_foi(rng, max_length_px=30)
+    low = int(rng.integers(1, 4))
+    camera = Camera(photons_full_scale=10 ** rng.uniform(2, 5), read_noise_e=10 ** rng.uniform(0, 2.3))
+    problem = along(
+        path, chips, camera=camera, open_range=(low, int(rng.integers(low, chips + 1))),
+        runs=RunLimits(min_open=int(rng.integers(1, low + 1))),
+    )  # fmt: skip
+    codes = [ShutterCode.from_array(code) for code in problem.random_codes(4, rng=rng)]
+    found = verdict(problem, *codes)
+    runs = [
+        ShutterCode("0" * first + "1" * (end - first) + "0" * (chips - end))
+        for first in range(chips) for end in range(first + 1, chips + 1)
+    ]  # fmt: skip
+    kept = [run for run in runs if problem.allows(run)]
+    advised = found.advised
+    assert advised.within_limits and problem.allows(advised.code)
+    if kept and advised.kind in ("code", "strobe"):
+        best = expected_psnr_db(problem, kept, noise=[light_noise(camera, chips)]).max()
+        assert advised.psnr_db >= best - 1e-6
+        assert found.sentence.startswith(("Code", "Pulse"))
+    if advised.kind == "snapshot":
+        assert found.sentence.startswith("Coding does not pay here: expose")
+
+
+def test_the_kinds_of_a_verdict():
+    codes = [ShutterCode(bits) for bits in ("110110110110", "110110110100", "111000000111", "110110010110")]
+    kinds = [way.kind for way in verdict(along(chips=12, camera=NOISY), *codes).ways]
+    assert kinds[0] == "open"
+    assert [way.kind for code in codes for way in verdict(along(chips=12), code).ways if way.code == code] == [
+        "strobe", "code", "strobe", "code",
+    ]  # fmt: skip
+
+
+def test_fixed_noise_makes_coding_pay_and_photon_noise_does_not():
+    noisy, quiet = (advise(along(camera=camera), levels=[1_000, 100_000]) for camera in (NOISY, QUIET))
+    assert noisy.choice == "code" and noisy.gains_db["code"] > noisy.gains_db["snapshot"] + 1
+    assert noisy.sentence.startswith("Code this exposure: ")
+    assert quiet.choice == "snapshot" and quiet.gains_db["snapshot"] > quiet.gains_db["code"]
+    assert quiet.sentence.startswith("Coding does not pay here: expose 1/")
+
+
+def test_the_crossover_is_where_the_gain_crosses_what_counts():
+    advice = advise(along(camera=replace(NOISY, read_noise_e=10.0)), levels=[100, 1_000, 10_000, 100_000])
+    gains = {one.camera.photons_full_scale: one.code_gain_db for one in advice.levels}
+    for level, gain in gains.items():
+        inside = any((low or 0) <= level <= (high or np.inf) for low, high in advice.crossover)
+        assert inside == (gain > WORTH_DB)
+    between = [end for ends in advice.crossover for end in ends if end is not None]
+    assert between  # this camera's gain falls below what counts in bright light
+    at_end = advise(along(camera=replace(NOISY, read_noise_e=10.0)), levels=between)
+    for end in between:
+        one = next(one for one in at_end.levels if one.camera.photons_full_scale == end)
+        assert one.code_gain_db == pytest.approx(WORTH_DB, abs=1.0)
+
+
+def test_limits_of_the_shutter_rule_what_is_advised():
+    """A shutter that must stay open for a third of the exposure cannot take the better snapshot: it is named."""
+    slow = DeviceProfile(name="slow", min_on_ns=8_000_000)
+    found = verdict(along(camera=QUIET, device=slow))
+    assert found.advised.code.open_chips >= 8
+    assert found.outside is not None and found.outside.kind == "snapshot"
+    assert "If the limits can be loosened, a single exposure" in found.sentence
+
+
+def test_an_error_of_the_path_turns_the_verdict():
+    problem = along(camera=NOISY)
+    assert advise(problem, levels=[]).choice == "code"
+    lost = advise(problem, levels=[], path_error_px=3.0)
+    assert lost.choice == "snapshot"
+    assert lost.here.best("code").psnr_db < lost.here.best("snapshot").psnr_db
+
+
+def test_a_flash_favours_the_short_exposure():
+    """At equal light nothing is lost by a shorter exposure but what the code would keep."""
+    found = advise(along(camera=NOISY), levels=[]).here
+    assert found.equal_light_gains_db["snapshot"] > found.gains_db["snapshot"]
+
+
+def test_levels_at_which_the_camera_is_full_are_left_out():
+    small = Camera(photons_full_scale=1_000, full_well_e=5_000.0)
+    advice = advise(along(chips=8, camera=small))
+    assert max(one.camera.photons_full_scale for one in advice.levels) <= 5_000
+    with pytest.raises(ValueError, match=r"photons_full_scale: this camera is full at 5,000 electrons"):
+        advise(along(chips=8, camera=replace(small, photons_full_scale=6_000.0)))
+
+
+def test_dark_current_counts():
+    warm = Camera(photons_full_scale=10_000, read_noise_e=2, dark_current_e_s=1e5)
+    found = verdict(along(camera=warm, exposure_s=0.025))
+    assert found.camera.read_noise_e == pytest.approx(np.sqrt(4 + 2500))
+
+
+def test_the_number_of_chips_is_the_smallest_that_is_as_good():
+    made = {}
+
+    def problem_of(count):
+        if count > 24:
+            raise ValueError("chips: too many")
+        made[count] = along(chips=count, camera=NOISY)
+        return made[count]
+
+    count, gains = suited_chips(problem_of, (6, 12, 24, 48))
+    assert set(made) == {6, 12, 24} and set(gains) == set(made) - {count}
+    assert all(gain <= WORTH_DB for gain in gains.values())
+    with pytest.raises(ValueError, match="chips: too many"):
+        suited_chips(problem_of, (48,))
+
+
+@pytest.mark.parametrize("level", [0.5, 2e7, float("nan")])
+def test_light_levels_out_of_range_are_refused(level):
+    with pytest.raises(ValueError, match=r"levels: must lie within 1\.\.1e7"):
+        advise(along(), levels=[level])
+
+
+def test_optimize_says_first_whether_to_code():
+    best = cep.optimize(along(chips=12, camera=QUIET, objective="noise"), steps=20_000)
+    assert best.verdict.choice == "snapshot"
+    assert repr(best).startswith(best.verdict.sentence)
+    document = best.to_dict()
+    assert next(iter(document)) == "verdict" and document["choice"] == "snapshot"
+
+
+# -- the published limit --------------------------------------------------------------------------------------------
+
+LIMIT = 1.1717
+"""Of the gain in RMSE of any flutter over the best snapshot, photon noise alone, full inversion, no limit in time.
+
+References
+----------
+Tendero, Morel, Rouge, "The flutter shutter paradox", SIAM Journal on Imaging Sciences 2013.
+"""
+
+
+def noise_of_inversion(code, path):
+    """Mean square error of the inverse filter under photon noise, in units of one chip's light."""
+    samples = band_samples(path)
+    return code.duty * samples.weight @ (1 / np.abs(coded_otf(path, code, samples.fx, samples.fy)) ** 2)
+
+
+def test_the_published_limit_is_reproduced():
+    """No code passes the band's bound; the best snapshot, blurred over 1.09 px, is 1.1717 times as noisy in RMSE."""
+    chips, length_px = 100, 12.0
+    path = Trajectory.straight(length_px)
+    runs = [noise_of_inversion(ShutterCode("1" * k + "0" * (chips - k)), path) for k in range(4, 16)]
+    bound = length_px  # Cauchy-Schwarz and Parseval: the band is one wide, the light spread over the whole path
+    assert np.sqrt(min(runs) / bound) == pytest.approx(LIMIT, abs=2e-3)
+    rng = np.random.default_rng(3)
+    drawn = [ShutterCode.from_array(code) for code in along(path, chips).random_codes(200, rng=rng)]
+    assert min(noise_of_inversion(code, path) for code in drawn) >= bound
