@@ -18,7 +18,9 @@ def test_the_python_example_runs(capsys):
     (example,) = blocks("python")
     assert len([line for line in example.splitlines() if line.strip()]) <= 10
     exec(compile(example, "README.md", "exec"), {})
-    bits = capsys.readouterr().out.partition(":")[0]
+    sentence, code, *_ = capsys.readouterr().out.splitlines()
+    assert sentence.startswith(("Code this exposure", "Coding does not pay here", "Pulse", "Leave the shutter open"))
+    bits = code.partition(":")[0]
     assert len(bits) == 20
     assert set(bits) == {"0", "1"}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -58,8 +57,8 @@ def exposure_seconds(text: str | None) -> float | None:
     try:
         value = float(over) / (float(under) if slash else 1.0) * size
     except (ValueError, ZeroDivisionError):
-        value = math.nan
-    if not 0 < value < math.inf:
+        value = float("nan")
+    if not 0 < value < float("inf"):
         raise ValueError(f"--exposure: must be a time above 0 as 1/30, 0.02, 20ms or 500us, got {text!r}")
     return value
 

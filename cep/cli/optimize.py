@@ -294,15 +294,17 @@ def optimize(
             if frames > 1:
                 show = optimize_frames(task(stored, trajectory), frames, run)
             else:
-                claim([run.output], force=force, inputs=[] if trajectory is None else [trajectory])
+                outputs = ([run.output], [] if trajectory is None else [trajectory])
                 others: Mapping[int, float] = {}
                 if chips is None and fixed is None and method == "anneal" and objective in (None, "mse"):
+                    claim(outputs[0], force=force, inputs=outputs[1])
                     count, others = suited_chips(
                         lambda count: task(stored, trajectory, wish_of(count)).problem, seed=seed,
                         progress=part(tick, 0.0, _CHOOSING),
                     )  # fmt: skip
                     wish = wish_of(count)
                 wanted = task(stored, trajectory, wish)
+                claim(outputs[0], force=force, inputs=outputs[1])
 
                 def keep(code: ShutterCode, found: Found) -> None:
                     """Write the code before it is compared: Ctrl-C from here on must not lose it."""
@@ -316,7 +318,8 @@ def optimize(
                 )  # fmt: skip
                 best.save(run.output, described=wanted.described)
                 result = {
-                    "file": run.output, **best.to_dict(), "other_chips_db": others, "warnings": list(best.warnings)
+                    "file": run.output, **best.to_dict(), **({"other_chips_db": others} if others else {}),
+                    "warnings": list(best.warnings),
                 }  # fmt: skip
                 show = run.shown(result, partial(_show, best=best, others=others, file=run.output))
     show()

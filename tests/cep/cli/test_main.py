@@ -30,6 +30,7 @@ COMMANDS = (
     "calibrate",
     "calibration-set",
     "refine",
+    "advise",
     "optimize",
     "pareto",
     "audit",
@@ -281,7 +282,19 @@ def test_optimize_is_repeatable(cep, workplace):
 
 def test_optimize_along_a_line_has_a_bound(cep, workplace):
     found = cep.succeeds(
-        "optimize", "--linear", "10", "--chips", "10", "--open", "5", "--steps", "3000", "-o", "new.json"
+        "optimize",
+        "--linear",
+        "10",
+        "--chips",
+        "10",
+        "--open",
+        "5",
+        "--objective",
+        "min-mtf",
+        "--steps",
+        "3000",
+        "-o",
+        "new.json",
     )
     assert found["min_chip"] <= found["bound"] <= np.sqrt(5) + 1e-6  # Parseval
     assert found["gap"] == pytest.approx(1 - found["min_chip"] / found["bound"])

@@ -35,7 +35,8 @@ def test_exact_proves_the_best_and_audit_confirms_it(cep, workplace):
 
 def test_a_bound_of_zero_has_no_gap(cep, workplace):
     # P(-1) = 0 with both of two chips open
-    found = cep.succeeds("optimize", "--linear", "4", "--chips", "2", "--open", "2", "--steps", "100", "-o", "two.json")
+    asked = ("--linear", "4", "--chips", "2", "--open", "2", "--objective", "min-mtf", "--steps", "100")
+    found = cep.succeeds("optimize", *asked, "-o", "two.json")
     assert (found["bits"], found["min_chip"], found["bound"], found["gap"]) == ("11", 0.0, 0.0, 0.0)
 
 
@@ -218,7 +219,7 @@ def test_a_comparison_that_the_time_ended_is_told(cep, workplace, monkeypatch):
 # -- what ends a search -----------------------------------------------------------------------------------------------
 
 QUICK = ("optimize", "--linear", "12", "--chips", "12", "--force")
-STANDARD = standard_moves(SearchProblem(chips=12))
+STANDARD = standard_moves(SearchProblem.along(Trajectory.straight(12.0), chips=12, objective="mse"))
 
 
 @pytest.fixture

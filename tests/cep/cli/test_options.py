@@ -18,6 +18,7 @@ FINE = {
     "calibrate": ["blurred.png", *GYRO],
     "calibration-set": ["--photos", "2", "--chips", "8"],
     "refine": ["blurred.png", "--code", "1101000101101111", "--trajectory", "trajectory.json"],
+    "advise": ["--linear", "12", "--chips", "12"],
     "optimize": ["--linear", "12", "--chips", "12", "--steps", "1000"],
     "pareto": ["--linear", "12", "--chips", "12", "--steps", "1000"],
     "audit": ["1011", "--linear", "9"],

@@ -56,7 +56,8 @@ def test_an_error_of_the_path_costs_long_exposures_more_than_short_ones():
         expected_psnr_db(problem(), CODES, noise=noise, path_error_px=error)[:, 0] for error in (0.0, 0.25, 0.5, 1.0)
     ]
     code, opened, snapshot = np.array(lost).T
-    assert (np.diff(code) < 0).all() and (np.diff(opened) < 0).all()
+    assert (np.diff(code) < 0).all()
+    assert (np.diff(opened) < 0).all()
     assert code[0] - code[-1] > 1.0 > snapshot[0] - snapshot[-1]
 
 

@@ -52,7 +52,8 @@ def test_no_code_is_advised_while_a_shorter_exposure_within_the_limits_is_better
     ]  # fmt: skip
     kept = [run for run in runs if problem.allows(run)]
     advised = found.advised
-    assert advised.within_limits and problem.allows(advised.code)
+    assert advised.within_limits
+    assert problem.allows(advised.code)
     if kept and advised.kind in ("code", "strobe"):
         best = expected_psnr_db(problem, kept, noise=[light_noise(camera, chips)]).max()
         assert advised.psnr_db >= best - 1e-6
@@ -72,9 +73,11 @@ def test_the_kinds_of_a_verdict():
 
 def test_fixed_noise_makes_coding_pay_and_photon_noise_does_not():
     noisy, quiet = (advise(along(camera=camera), levels=[1_000, 100_000]) for camera in (NOISY, QUIET))
-    assert noisy.choice == "code" and noisy.gains_db["code"] > noisy.gains_db["snapshot"] + 1
+    assert noisy.choice == "code"
+    assert noisy.gains_db["code"] > noisy.gains_db["snapshot"] + 1
     assert noisy.sentence.startswith("Code this exposure: ")
-    assert quiet.choice == "snapshot" and quiet.gains_db["snapshot"] > quiet.gains_db["code"]
+    assert quiet.choice == "snapshot"
+    assert quiet.gains_db["snapshot"] > quiet.gains_db["code"]
     assert quiet.sentence.startswith("Coding does not pay here: expose 1/")
 
 
@@ -97,7 +100,8 @@ def test_limits_of_the_shutter_rule_what_is_advised():
     slow = DeviceProfile(name="slow", min_on_ns=8_000_000)
     found = verdict(along(camera=QUIET, device=slow))
     assert found.advised.code.open_chips >= 8
-    assert found.outside is not None and found.outside.kind == "snapshot"
+    assert found.outside is not None
+    assert found.outside.kind == "snapshot"
     assert "If the limits can be loosened, a single exposure" in found.sentence
 
 
@@ -139,7 +143,8 @@ def test_the_number_of_chips_is_the_smallest_that_is_as_good():
         return made[count]
 
     count, gains = suited_chips(problem_of, (6, 12, 24, 48))
-    assert set(made) == {6, 12, 24} and set(gains) == set(made) - {count}
+    assert set(made) == {6, 12, 24}
+    assert set(gains) == set(made) - {count}
     assert all(gain <= WORTH_DB for gain in gains.values())
     with pytest.raises(ValueError, match="chips: too many"):
         suited_chips(problem_of, (48,))
@@ -156,7 +161,8 @@ def test_optimize_says_first_whether_to_code():
     assert best.verdict.choice == "snapshot"
     assert repr(best).startswith(best.verdict.sentence)
     document = best.to_dict()
-    assert next(iter(document)) == "verdict" and document["choice"] == "snapshot"
+    assert next(iter(document)) == "verdict"
+    assert document["choice"] == "snapshot"
 
 
 # -- the published limit --------------------------------------------------------------------------------------------

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_resolved
 from cep.optics.response import ShutterResponse

@@ -1,0 +1,181 @@
+"""When coding pays: the map over light and read noise, and expected gains beside simulated captures.
+
+    python benchmarks/verdict.py map [--walks 5] [--workers 2] [--image docs/images/verdict-map.png]
+    python benchmarks/verdict.py check [--captures 1000] [--workers 2]
+
+`map`: gain of the best code over the best single exposure, dB, 40 chips, direction known, along a straight motion of
+40 px and along random walks of 60 px (the median of so many). `check`: twelve cases of motion, camera and light; the
+best snapshot and the best code are photographed so often, each time of another scene of the reference spectrum, and
+restored by a Wiener filter: the gain so measured beside the expected one.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.optics.band import BandSamples
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_otf
+from cep.optics.mtf import SCENE_MEAN, inverse_scene, noise_variance
+from cep.search.problem import SearchProblem
+from cep.workflows.advise import advise
+from motdiff.motions import boracchi_foi, quadratic
+from motdiff.trajectory import Trajectory
+
+FloatArray = NDArray[np.float64]
+
+LIGHT = (300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
+READ_NOISE = (2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
+CHIPS, STRAIGHT_PX, WALK_PX = 40, 40.0, 60.0
+SIDE = 128
+
+
+def gains_over_light(case: tuple[str, int, float]) -> list[float]:
+    """Gain, dB, of the best code over the best single exposure at each level of LIGHT."""
+    kind, seed, read_noise = case
+    path = Trajectory.straight(STRAIGHT_PX) if kind == "straight" else walk(seed)
+    camera = Camera(photons_full_scale=LIGHT[0], read_noise_e=read_noise, bits=16)
+    advice = advise(SearchProblem.along(path, chips=CHIPS, camera=camera), levels=LIGHT, threads=1)
+    return [one.code_gain_db or 0.0 for one in advice.levels]
+
+
+def walk(seed: int) -> Trajectory:
+    return boracchi_foi(np.random.default_rng([seed, 20]), max_length_px=WALK_PX)
+
+
+def make_map(walks: int, image: Path, run: Callable[..., Iterable[list[float]]]) -> None:
+    from cep.plots.canvas import new_figure, save
+
+    cases = [("straight", 0, e) for e in READ_NOISE] + [("walk", seed, e) for e in READ_NOISE for seed in range(walks)]
+    found = list(run(gains_over_light, cases))
+    straight = np.array(found[: len(READ_NOISE)])
+    walked = np.median(np.array(found[len(READ_NOISE) :]).reshape(len(READ_NOISE), walks, -1), axis=1)
+    tables = {
+        f"straight motion, {STRAIGHT_PX:g} px": straight,
+        f"walks of {WALK_PX:g} px, order known (median of {walks})": walked,
+    }
+    for name, gains in tables.items():
+        print(f"\n{name}: gain of the best code over the best single exposure, dB")
+        print("| read noise, e- | " + " | ".join(f"{level:,.0f}" for level in LIGHT) + " |")
+        print("|---|" + "---:|" * len(LIGHT))
+        for read_noise, row in zip(READ_NOISE, gains, strict=True):
+            print(f"| {read_noise:g} | " + " | ".join(f"{max(value, 0.0):.1f}" for value in row) + " |")
+    figure = new_figure(9.6, 4.0)
+    panels = figure.subplots(1, 2, sharey=True)
+    for axes, (name, gains) in zip(panels, tables.items(), strict=True):
+        shown = axes.pcolormesh(
+            LIGHT, READ_NOISE, np.maximum(gains, 0), cmap="Greens", vmin=0, vmax=5, shading="nearest"
+        )
+        for i, read_noise in enumerate(READ_NOISE):
+            for j, level in enumerate(LIGHT):
+                text = f"{gains[i, j]:.1f}" if gains[i, j] >= 0.1 else "short"
+                axes.text(level, read_noise, text, ha="center", va="center", fontsize=8)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_title(name, fontsize=10)
+        axes.set_xlabel("photo-electrons at full scale")
+    panels[0].set_ylabel("read noise, electrons")
+    figure.colorbar(shown, ax=panels, label="gain of a code over the best\nsingle exposure, dB")
+    save(figure, image)
+    print(f"\n{image}")
+
+
+# -- simulated captures ---------------------------------------------------------------------------------------------
+
+
+def check_cases() -> list[tuple[str, Trajectory, Camera]]:
+    rng = np.random.default_rng(12)
+    paths = {
+        "straight, 20 px": Trajectory.straight(20.0),
+        "arc": quadratic(rng, min_length_px=24, max_length_px=30, max_bend=1.5),
+        "walk of 40 px": boracchi_foi(rng, max_length_px=40.0),
+    }
+    light = ((10_000.0, 2.0), (10_000.0, 50.0), (100_000.0, 200.0), (1_000.0, 10.0))
+    return [
+        (name, path, Camera(photons_full_scale=photons, read_noise_e=read_noise, bits=16))
+        for name, path in paths.items() for photons, read_noise in light
+    ]  # fmt: skip
+
+
+def checked(case: tuple[int, int]) -> tuple[float, float, float]:
+    """Return the expected gain of the best code over the best snapshot, the simulated one, and its standard error, dB."""
+    index, captures = case
+    _, path, camera = check_cases()[index]
+    known = replace(path, direction="known")
+    advice = advise(SearchProblem.along(known, chips=24, camera=camera), levels=[], threads=1)
+    snapshot, code = advice.here.best("snapshot"), advice.here.best("code")
+    assert snapshot is not None
+    assert code is not None
+    errors = [squared_errors(known, way.code, camera, captures, seed=index) for way in (snapshot, code)]
+    gain = 10 * np.log10(errors[0].mean() / errors[1].mean())
+    spread = np.std(errors[0] / errors[0].mean() - errors[1] / errors[1].mean()) / np.sqrt(captures)
+    return code.psnr_db - snapshot.psnr_db, float(gain), float(10 / np.log(10) * spread)
+
+
+def squared_errors(path: Trajectory, code: ShutterCode, camera: Camera, captures: int, *, seed: int) -> FloatArray:
+    """Mean square error of each restored capture; the scenes are the same for every code."""
+    frequency = np.fft.fftfreq(SIDE)
+    fx, fy = (grid.ravel() for grid in np.meshgrid(frequency, frequency))
+    here = BandSamples(fx, fy, np.full(fx.size, 1 / fx.size), (fx**2 + fy**2)[:, None], np.ones((fx.size, 1)))
+    inverse = inverse_scene(here)[:, 0].reshape(SIDE, SIDE)
+    otf = coded_otf(path, code, fx, fy).reshape(SIDE, SIDE)
+    otf[SIDE // 2], otf[:, SIDE // 2] = otf[SIDE // 2].real, otf[:, SIDE // 2].real  # the signal is real there
+    noise = noise_variance(camera, code.duty)
+    wiener = np.conj(otf) / (np.abs(otf) ** 2 + noise * inverse)
+    photons, read_sigma = camera.photons_full_scale, camera.noise["read_sigma"]
+    scenes, capture = np.random.default_rng([seed, 1]), np.random.default_rng([seed, 2, code.open_chips])
+    errors = []
+    for _ in range(captures):
+        spectrum = np.fft.fft2(scenes.standard_normal((SIDE, SIDE))) / np.sqrt(inverse)
+        blurred = np.fft.ifft2(spectrum * otf).real + SCENE_MEAN * code.duty
+        # a Gaussian scene is darker than black here and there: that part has no photon noise
+        taken = capture.poisson(photons * np.maximum(blurred, 0)) / photons + np.minimum(blurred, 0)
+        taken = taken + read_sigma * capture.standard_normal(taken.shape)
+        restored = np.fft.fft2(taken - SCENE_MEAN * code.duty) * wiener
+        errors.append((np.abs(restored - spectrum) ** 2).mean() / SIDE**2)
+    return np.array(errors)
+
+
+def check(captures: int, run: Callable[..., Iterable[tuple[float, float, float]]]) -> None:
+    cases = check_cases()
+    print("gain of the best code over the best single exposure, dB, 24 chips")
+    print("| motion | photo-electrons | read noise, e- | expected | simulated | difference |")
+    print("|---|---:|---:|---:|---:|---:|")
+    worst = 0.0
+    for (name, _, camera), found in zip(cases, run(checked, [(i, captures) for i in range(len(cases))]), strict=True):
+        expected, gain, spread = found
+        worst = max(worst, abs(gain - expected))
+        print(
+            f"| {name} | {camera.photons_full_scale:,.0f} | {camera.read_noise_e:g} | {expected:.2f} | "
+            f"{gain:.2f} ± {spread:.2f} | {gain - expected:+.2f} |",
+            flush=True,
+        )
+    print(f"largest difference: {worst:.2f} dB")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("map", "check"))
+    parser.add_argument("--walks", type=int, default=5, help="random walks of the map")
+    parser.add_argument("--captures", type=int, default=1_000, help="of each way and case")
+    parser.add_argument("--image", type=Path, default=Path("docs/images/verdict-map.png"))
+    parser.add_argument("--workers", type=int, default=1)
+    given = parser.parse_args()
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
+        if given.what == "map":
+            make_map(given.walks, given.image, pool.map)
+        else:
+            check(given.captures, pool.map)
+
+
+if __name__ == "__main__":
+    main()
