@@ -36,7 +36,7 @@ FloatArray = NDArray[np.float64]
 LIGHT = (300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
 READ_NOISE = (2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 CHIPS, STRAIGHT_PX, WALK_PX = 40, 40.0, 60.0
-SIDE = 128
+SIDE = 192  # px of a scene: other frequencies than the expectation's
 
 
 def gains_over_light(case: tuple[str, int, float]) -> list[float]:
@@ -107,7 +107,7 @@ def check_cases() -> list[tuple[str, Trajectory, Camera]]:
 
 
 def checked(case: tuple[int, int]) -> tuple[float, float, float]:
-    """Return the expected gain of the best code over the best snapshot, the simulated one, and its standard error, dB."""
+    """Return the gain of the best code over the best snapshot, expected and simulated with its standard error, dB."""
     index, captures = case
     _, path, camera = check_cases()[index]
     known = replace(path, direction="known")
@@ -133,16 +133,28 @@ def squared_errors(path: Trajectory, code: ShutterCode, camera: Camera, captures
     wiener = np.conj(otf) / (np.abs(otf) ** 2 + noise * inverse)
     photons, read_sigma = camera.photons_full_scale, camera.noise["read_sigma"]
     scenes, capture = np.random.default_rng([seed, 1]), np.random.default_rng([seed, 2, code.open_chips])
+    draw = scenes_of(inverse)
     errors = []
     for _ in range(captures):
-        spectrum = np.fft.fft2(scenes.standard_normal((SIDE, SIDE))) / np.sqrt(inverse)
-        blurred = np.fft.ifft2(spectrum * otf).real + SCENE_MEAN * code.duty
-        # a Gaussian scene is darker than black here and there: that part has no photon noise
-        taken = capture.poisson(photons * np.maximum(blurred, 0)) / photons + np.minimum(blurred, 0)
-        taken = taken + read_sigma * capture.standard_normal(taken.shape)
+        spectrum = np.fft.fft2(draw(scenes) - SCENE_MEAN)
+        blurred = np.maximum(np.fft.ifft2(spectrum * otf).real + SCENE_MEAN * code.duty, 0)
+        taken = capture.poisson(photons * blurred) / photons + read_sigma * capture.standard_normal(blurred.shape)
         restored = np.fft.fft2(taken - SCENE_MEAN * code.duty) * wiener
         errors.append((np.abs(restored - spectrum) ** 2).mean() / SIDE**2)
     return np.array(errors)
+
+
+def scenes_of(inverse: FloatArray) -> Callable[[np.random.Generator], FloatArray]:
+    """Make a drawing of log-normal scenes: none is darker than black, and their spectrum is the reference scene's."""
+    covariance = np.fft.ifft2(1 / inverse).real
+    log_spectrum = np.maximum(np.fft.fft2(np.log1p(covariance / SCENE_MEAN**2)).real, 0)
+    variance = log_spectrum.mean()
+
+    def draw(rng: np.random.Generator) -> FloatArray:
+        normal = np.fft.ifft2(np.fft.fft2(rng.standard_normal(inverse.shape)) * np.sqrt(log_spectrum)).real
+        return SCENE_MEAN * np.exp(normal - variance / 2)
+
+    return draw
 
 
 def check(captures: int, run: Callable[..., Iterable[tuple[float, float, float]]]) -> None:

@@ -12,7 +12,6 @@ from cep.optics.band import BandSamples, band_samples, grid_samples, straight_ax
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import inverse_scene, noise_variance
-from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario, scenario_rows
 from motdiff.motions import with_smooth_error
@@ -23,7 +22,7 @@ __all__ = ["equal_light_noise", "expected_psnr_db", "light_noise"]
 FloatArray = NDArray[np.float64]
 _OVERSAMPLING = 16
 _DRAWS = 24  # of a path's error
-_INTERVALS = 128  # a side: a path near a straight one has valleys as narrow
+_INTERVALS = 128  # a side
 
 
 def light_noise(camera: Camera, chips: int) -> FloatArray:
@@ -82,46 +81,56 @@ def expected_psnr_db(
         raise ValueError("scenarios: need a motion to expect a restoration along")
     chips = np.array([code.array for code in codes], dtype=np.float64)
     cases = np.atleast_2d(np.asarray(noise, dtype=np.float64))
-    judged = Objective(replace(problem, objective="mse"), oversampling=_OVERSAMPLING, dtype=np.float64)
-    if path_error_px == 0:
-        return -np.stack([judged.with_noise(case).cost_of(chips) for case in cases], axis=1)
-    duty, counts = judged.duty(chips), np.arange(problem.chips + 1)
-    variances = np.stack([np.interp(duty * problem.chips, counts, case) for case in cases], axis=1)
+    opened = chips.mean(axis=1) if problem.response is None else problem.response.open_time(chips)
+    counts = np.arange(problem.chips + 1)
+    variances = np.stack([np.interp(opened * problem.chips, counts, case) for case in cases], axis=1)
     rng = np.random.default_rng(0) if rng is None else rng
     errors_db = np.full((len(problem.scenarios), *variances.shape), -np.inf)
     for index, scenario in enumerate(problem.scenarios):
         for turned in problem.directions(scenario):
             path = scenario.path(reversed_path=turned)
-            error = _uncertain_error(problem, replace(scenario, trajectory=path), chips, variances, path_error_px, rng)
+            near = [path] if path_error_px == 0 else list(_near(path, path_error_px, problem.chips, rng))
+            error = _error(problem, replace(scenario, trajectory=path), near, chips, variances)
             errors_db[index] = np.maximum(errors_db[index], 10 * np.log10(error))
     if problem.rule == "mean":
-        return -np.tensordot(judged.scenario_shares, errors_db, axes=1)
+        weights = np.array([scenario.weight for scenario in problem.scenarios])
+        return -np.tensordot(weights / weights.sum(), errors_db, axes=1)
     return -np.asarray(errors_db.max(axis=0), dtype=np.float64)
 
 
-def _uncertain_error(
-    problem: SearchProblem, scenario: Scenario, chips: FloatArray, variances: FloatArray, path_error_px: float,
-    rng: np.random.Generator,
-) -> FloatArray:  # fmt: skip
-    """Mean square error (R, L) of codes (R, n) along a path that is known to so many px."""
+def _error(
+    problem: SearchProblem, scenario: Scenario, near: Sequence[Trajectory], chips: FloatArray, variances: FloatArray
+) -> FloatArray:
+    """Mean square error (R, L) of codes (R, n) along a path that is one of those near it, as far as is known."""
     path = scenario.trajectory
-    straight = straight_axis(path) is not None
-    samples = grid_samples(_INTERVALS) if straight else band_samples(path)
+    samples = _samples(path) if len(near) == 1 else _samples(max(near, key=lambda one: one.extent_px))
     mean, power = np.zeros((len(chips), samples.fx.size), dtype=complex), np.zeros((len(chips), samples.fx.size))
-    for near in _near(path, path_error_px, problem.chips, rng):
-        otf = _otf(problem, replace(scenario, trajectory=near), chips, samples)
-        shift = chips @ (_at_chips(near, problem.chips) - _at_chips(path, problem.chips))
-        shift /= chips.sum(axis=1, keepdims=True)
-        otf *= np.exp(2j * np.pi * (np.outer(shift[:, 0], samples.fx) + np.outer(shift[:, 1], samples.fy)))
-        mean += otf / _DRAWS
-        power += np.abs(otf) ** 2 / _DRAWS
+    for one in near:
+        otf = _otf(problem, replace(scenario, trajectory=one), chips, samples)
+        if one is not path:
+            shift = chips @ (_at_chips(one, problem.chips) - _at_chips(path, problem.chips))
+            shift /= chips.sum(axis=1, keepdims=True)
+            otf *= np.exp(2j * np.pi * (np.outer(shift[:, 0], samples.fx) + np.outer(shift[:, 1], samples.fy)))
+        mean += otf / len(near)
+        power += np.abs(otf) ** 2 / len(near)
     scatter = np.maximum(power - np.abs(mean) ** 2, 0.0)
-    inverse = inverse_scene(samples)[:, 0]  # 1 / S
-    errors = [
-        ((scatter / inverse + variance[:, None]) / (power + variance[:, None] * inverse)) @ samples.weight
-        for variance in variances.T
-    ]
+    inverse = inverse_scene(samples)  # 1 / S
+    errors = []
+    for variance in variances.T:
+        noise = variance[:, None]
+        error = sum(
+            samples.radius2_weight[:, q] * (scatter / inverse[:, q] + noise) / (power + noise * inverse[:, q])
+            for q in range(inverse.shape[1])
+        )
+        errors.append(error @ samples.weight)
     return np.stack(errors, axis=1)
+
+
+def _samples(path: Trajectory) -> BandSamples:
+    """Return samples finer than those of a search, which may have found a code with its valleys between them."""
+    if straight_axis(path) is not None:
+        return band_samples(path, oversampling=_OVERSAMPLING)
+    return grid_samples(max(_INTERVALS, 2 * int(np.ceil(path.extent_px))))
 
 
 def _near(path: Trajectory, error_px: float, chips: int, rng: np.random.Generator) -> Iterator[Trajectory]:

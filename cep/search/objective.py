@@ -107,12 +107,6 @@ class Objective:
         other.problem = replace(self.problem, objective=objective)
         return other
 
-    def with_noise(self, noise: RealArray) -> Objective:
-        """Judge under other noise on the same samples: variances (n + 1,) by number of open chips."""
-        other = copy(self)
-        other.noise = np.asarray(noise, dtype=np.float64)
-        return other
-
     def otf(self, codes: RealArray) -> RealArray:
         """(R, 2, F) real and imaginary OTF of (R, n) codes."""
         chips, variants, _, columns = self.rows.shape
