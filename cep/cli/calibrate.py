@@ -120,9 +120,9 @@ def calibrate(
     A photo with an open shutter shows the path, but neither its order nor its direction in time. Photos of the same
     motion through known codes (one may be open; cep calibration-set designs them) show these too.
 
-    Writes trajectory.json, psf.npy, psf.mat, psf.png, map.png and preview.png; of a folder, into a folder for each
-    photo, named like it, and motions.csv. Finished photos are kept: stopped by Ctrl-C, the same command with --force
-    goes on; of a photo that fails now, --force removes earlier files.
+    Writes trajectory.json, psf.npy, psf.mat, psf.png, map.png, preview.png and sharpened.png, the photo restored; of a
+    folder, into a folder for each photo, named like it, and motions.csv. Finished photos are kept: stopped by Ctrl-C,
+    the same command with --force goes on; of a photo that fails now, --force removes earlier files.
 
     Example: cep calibrate blurred.jpg -o motion
 
@@ -207,7 +207,7 @@ def calibrate(
         source = {"image": str(image), "seed": seed}
         if codes is not None:
             source |= {"images": [str(one) for one in images], "codes": [one.bits for one in codes]}
-        files = found.save(folder, source=source, force=force)
+        files = found.save(folder, source=source, force=force, bits=min(photos[0].bits, 16), gamma=gamma)
         tick(1.0)
     motion = found.best
     result = describe_motion(

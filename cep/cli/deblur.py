@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,6 +23,9 @@ from cep.cli.options import (
     load_motion,
     output_option,
 )
+
+if TYPE_CHECKING:
+    from cep.workflows.sharpen import Sharpened
 
 __all__ = ["deblur"]
 
@@ -54,9 +58,10 @@ def deblur(
         typer.Option(
             "--method",
             metavar="NAME",
-            help="wiener, inverse, tv, l0, tv-ring, pnp (a trained denoiser), or module:name.",
+            help="wiener, inverse, tv, l0, tv-ring, pnp (a trained denoiser), or module:name; auto is wiener, and of a "
+            "photo alone what suits it.",
         ),
-    ] = "wiener",
+    ] = "auto",
     gamma: Gamma = "srgb",
     camera: CameraFile = None,
     photons: Photons = None,
@@ -68,11 +73,16 @@ def deblur(
 ) -> None:
     """Restore a photo along a trajectory, with a PSF, or with neither: the PSF is then searched in the photo itself.
 
+    Of an ordinary photo alone the blur is estimated, and the photo restored with what suits it; a photo without motion
+    blur, or one that no restoration improves, is written as it was, and the first line says so.
+
     Along a trajectory of unknown direction the orders in time that it may have had are tested, and it is said which
     fits: forward, reverse, or reordered where loops were run the other way round. A single photo without a trajectory
     shows its PSF, but seldom the order in time; give --code for its light.
 
     The camera's figures are for the methods wiener and pnp.
+
+    Example: cep deblur photo.jpg
 
     Example: cep deblur coded.png --trajectory trajectory.json --code code.json -o sharp.png
 
@@ -81,7 +91,7 @@ def deblur(
     with progress("restoring") as tick:
         tick(0.0, "reading the photo")
         from cep.codes.sources import load_code
-        from cep.io.images import check_image_name, parse_gamma, read_photo
+        from cep.io.images import check_image_name, parse_gamma, read_photo, write_image
         from cep.io.outputs import claim
 
         parse_gamma(gamma)
@@ -95,6 +105,10 @@ def deblur(
         from cep.restoration import find_method, restore
         from cep.workflows.calibrate import check_photo, check_texture
 
+        alone = method == "auto" and all(
+            one is None for one in (trajectory, psf, code, camera, photons, read_noise)
+        )  # what suits the photo is chosen
+        method = "wiener" if method == "auto" else method
         find_method(method)
         if trajectory is not None and psf is not None:
             raise ValueError("--trajectory FILE and --psf FILE: give one of them at most")
@@ -114,12 +128,20 @@ def deblur(
         blind = motion is None and kernel is None
         try:
             if blind:
-                check_photo(photo.pixels, "pmp")
+                check_photo(photo.pixels, "motdiff" if alone else "pmp")
             else:
                 check_texture(photo.pixels)
         except ValueError as error:
             raise ValueError(f"{image}: {str(error).removeprefix('photo: ')}") from None
         tick(0.05, "searching the PSF" if blind else "restoring")
+        if alone:
+            from cep.workflows.sharpen import sharpen
+
+            sharpened = sharpen(photo.pixels, seed=seed, progress=part(tick, 0.05, 0.95))
+            write_image(target, sharpened.image, bits=photo.bits, gamma=gamma)
+            tick(1.0)
+            _finish_alone(sharpened, target, seed=seed, warnings=photo.warnings, as_json=as_json)
+            return
         restored = restore(
             photo.pixels, kernel, trajectory=motion, code=shutter, method=method, progress=part(tick, 0.05, 0.98),
             **options,
@@ -153,3 +175,31 @@ def deblur(
         f"{motion_line}, residual {restored.residual:.3g} of full scale; "
         f"the outer {restored.unreliable_px} px lean on a guess"
     ))  # fmt: skip
+
+
+def _finish_alone(sharpened: Sharpened, target: Path, *, seed: int, warnings: Sequence[str], as_json: bool) -> None:
+    """Report a photo that was restored with what was found in it."""
+    result = {
+        "image": target,
+        "summary": sharpened.summary,
+        "kept": sharpened.kept,
+        "method": sharpened.method,
+        "psf_source": {"psf": "photo", "trajectory": "path in the photo"}.get(sharpened.psf_source or ""),
+        "psf_confidence": sharpened.psf_confidence,
+        "direction": "unknown",
+        "direction_confidence": None,
+        "direction_likelihoods": None,
+        "residual": sharpened.residual,
+        "unreliable_px": sharpened.unreliable_px,
+        "seconds": sharpened.seconds,
+        "seed": seed,
+        "warnings": [*warnings, *sharpened.warnings],
+    }
+    figures = (
+        ""
+        if sharpened.kept
+        else (
+            f"; residual {sharpened.residual:.3g} of full scale, the outer {sharpened.unreliable_px} px lean on a guess"
+        )
+    )
+    finish(result, as_json=as_json, show=lambda console: console.print(f"{sharpened.summary}.\n{target}{figures}"))

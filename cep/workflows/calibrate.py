@@ -16,6 +16,7 @@ from cep.io.images import write_image
 from cep.io.outputs import new_folder
 from cep.optics.code import ShutterCode
 from cep.plots import png_bytes, save, trajectory_figure
+from cep.workflows.sharpen import sharpen
 from motdiff.crops import LEAST_PX, check_size
 from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
 from motdiff.estimators.coded.codes import check_codes
@@ -43,8 +44,9 @@ METHODS = ("motdiff", "pmp", "reference", "point", "gyro", "coded")
 """Names of the estimators: blind by diffusion model and classically, with a sharp photo, of a light, by gyroscope,
 from photos taken through known codes."""
 
-CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png")
-"""What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field."""
+CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png", "sharpened.png")
+"""What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field,
+``sharpened.png`` only of a photo with an open shutter."""
 
 _LEAST_PX = {
     "motdiff": PSF_PX,
@@ -195,10 +197,16 @@ class Calibration(MotionEstimate):
     photo: FloatArray = field(kw_only=True, repr=False)
 
     def save(
-        self, folder: Path | str, *, source: Mapping[str, object] | None = None, force: bool = False
+        self,
+        folder: Path | str,
+        *,
+        source: Mapping[str, object] | None = None,
+        force: bool = False,
+        bits: int = 8,
+        gamma: str | float = "srgb",
     ) -> dict[str, Path]:
         """Write the files of :data:`CALIBRATION_FILES`; see :func:`write_calibration`."""
-        return write_calibration(folder, self, self.photo, source=source, force=force)
+        return write_calibration(folder, self, self.photo, source=source, force=force, bits=bits, gamma=gamma)
 
     def _repr_png_(self) -> bytes:
         return png_bytes(trajectory_figure(self.photo, self.best))
@@ -381,18 +389,25 @@ def write_calibration(
     *,
     source: Mapping[str, object] | None = None,
     force: bool = False,
+    bits: int = 8,
+    gamma: str | float = "srgb",
 ) -> dict[str, Path]:
-    """Write a motion estimate: the trajectory, the PSF in three formats, the HR map and a preview; all or nothing.
+    """Write a motion estimate: trajectory, PSF in three formats, HR map, preview, restored photo; all or nothing.
 
     Parameters
     ----------
     folder : path of a folder, made when missing
     estimate : MotionEstimate
-    photo : (H, W) or (H, W, 3) array_like, linear light 0..1, for the preview
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+        For the preview, and to be restored: see :func:`cep.workflows.sharpen.sharpen`.
     source : mapping, optional
         ``image``, ``seed``: where the estimate comes from.
     force : bool
         Whether existing files may be replaced.
+    bits : {8, 16}
+        Of the restored photo's samples.
+    gamma : str or float
+        Of the restored photo, as of :func:`cep.io.images.write_image`.
 
     Returns
     -------
@@ -412,5 +427,7 @@ def write_calibration(
         if best.frame_size() <= PSF_PX:
             write_image(made / "map.png", best.hr_map(), gamma="linear")
         save(trajectory_figure(photo, best), made / "preview.png")
+        if "order_confidence" not in estimate.details:  # a photo through a code has a PSF of its own
+            write_image(made / "sharpened.png", sharpen(photo, estimate).image, bits=bits, gamma=gamma)
         names = sorted(item.name for item in made.iterdir())
     return {name: Path(folder) / name for name in names}

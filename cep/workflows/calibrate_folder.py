@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cep.io.images import PHOTO_SUFFIXES, parse_gamma, read_image
+from cep.io.images import PHOTO_SUFFIXES, parse_gamma, read_image, read_photo
 from cep.io.outputs import claim_folder
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.engine import Engine
@@ -112,12 +112,15 @@ def calibrate_folder(
         """Write what was found in a photo as ``cep calibrate PHOTO`` does."""
         photo = by_label[label]
         try:
-            pixels = read_image(photo, gamma=gamma)
+            read = read_photo(photo, gamma=gamma)
         except (ValueError, OSError) as error:  # it was there when its motion was estimated, maybe hours ago
             raise NotWrittenError(f"has changed since: {error}") from None
         found, warnings = estimate_from_figures(figures)
         source = {"image": str(photo), "seed": seed}
-        files = write_calibration(target / photo.stem, found, pixels, source=source, force=force)
+        bits = min(read.bits, 16)
+        files = write_calibration(
+            target / photo.stem, found, read.pixels, source=source, force=force, bits=bits, gamma=gamma
+        )
         return describe_motion(found, files, seconds=figures["seconds"], warnings=warnings)
 
     return run_folder(

@@ -24,8 +24,8 @@ FloatArray = NDArray[np.float64]
 
 # evidence of no motion, docs/decisions/motion-estimation.md: widths of edges in px, and their share of the kernel's
 _LOST = 0.5
-_SPOT_PX, _LOST_SPOT_PX, _STILL_PX = 2.7, 3.4, 3.0
-_NARROW_PX, _NARROW_SHARE = 2.6, 0.55
+_SPOT_PX, _LOST_SPOT_PX = 2.7, 3.4
+_NARROW_PX, _NARROW_SHARE = 2.5, 0.55
 _STILL_CONFIDENCE = 0.9
 _CLIPPED = 0.02  # share of the pixels
 _ROUND_MNC, _ROUND_RATIO = 0.98, 2.0  # likeness of a spot with a Gaussian, and the ratio of its widths
@@ -50,7 +50,7 @@ def doubted(estimate: MotionEstimate, crops: FloatArray, *, uneven: bool, outgro
     narrow = edges.widest_px <= _NARROW_PX and edges.share_of(expected_px) <= _NARROW_SHARE
     spot_px = _SPOT_PX if estimate.confidence >= _LOST else _LOST_SPOT_PX
     spot = bool(expected_px.max() <= spot_px)
-    if (narrow and edges.bound_motion) or (spot and edges.widest_px <= _STILL_PX):
+    if (narrow and edges.bound_motion) or (spot and edges.widest_px <= _NARROW_PX):
         return _still(estimate, edges)
     clipped = float((crops >= CLIPPED_LEVEL).mean())
     doubts = []

@@ -69,6 +69,7 @@ def test_pictures_of_our_commands_are_no_photos(cep, workplace):
     pictures = {path.as_posix() for path in workplace.rglob("*") if path.suffix in (".png", ".jpg")}
     made = {
         *("psf.png", "map.png", "preview.png", "hand/psf.png", "hand/map.png", "hand/preview.png", "front.png"),
+        *("sharpened.png", "hand/sharpened.png"),
         *("sharp_coded.png", "sharp_coded_psf.png", "open.jpg", "open_psf.png"),
     }
     without_record = {"mtf.png", "sharp_coded_sharp.png"}
@@ -109,7 +110,7 @@ def beside_a_code(folder):
 
 def beside_a_motion(folder):
     write_motion(folder / "trajectory.json", StoredMotion(Trajectory.straight(7.0)))
-    return ["preview.png", "map.png", "psf.png"]
+    return ["preview.png", "map.png", "psf.png", "sharpened.png"]
 
 
 def beside_somebody_elses_arrays(folder):

@@ -512,7 +512,7 @@ def test_calibrate_with_a_sharp_photo(cep, workplace):
     found = cep.succeeds("calibrate", "blurred.png", "--method", "reference", "--sharp", "sharp.png", "-o", "motion")
     fields = {"method", "trajectory", "psf", "length_px", "extent_px", "confidence", "seconds", "warnings"}
     assert fields <= set(found)
-    names = {"trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png"}
+    names = {"trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png", "sharpened.png"}
     assert {item.name for item in Path("motion").iterdir()} == names
     truth = read_motion("trajectory.json").trajectory
     stored = read_motion(found["trajectory"])

@@ -268,14 +268,14 @@ def test_stopped_while_processes_work_it_keeps_what_came_and_tells(cep, shots, m
 
 
 def test_a_photo_that_goes_meanwhile_loses_no_other(cep, shots, guesses, monkeypatch):
-    real = images.read_image
+    real = images.read_photo
 
     def vanishing(path, **options):
         if Path(path).name == "b.tif":
             raise FileNotFoundError(2, "No such file or directory", str(path))
         return real(path, **options)
 
-    monkeypatch.setattr("cep.workflows.calibrate_folder.read_image", vanishing)
+    monkeypatch.setattr("cep.workflows.calibrate_folder.read_photo", vanishing)
     cep(*REFERENCE, "--json")
     assert cep.code == FAILURE
     assert list(cep.json["failures"]) == ["b.tif"]

@@ -1,0 +1,150 @@
+"""Choice of the PSF that a photo is restored with, or of none: tried on a crop, compared without the sharp photo.
+
+Two things give a wrong PSF away. It leaves a residual, however it is restored. And its ringing dips below black or
+rises above full scale, where there can be no light. A restoration with less sparse gradients than its photo is no
+better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.restoration.methods import misfit
+from cep.restoration.noise import fit_spectrum
+from cep.restoration.spectral import channels_first, channels_last, trimmed_psf
+from cep.restoration.tv import tv
+from cep.restoration.wiener import wiener
+from motdiff.crops import luminance, pick_crops
+from motdiff.estimators.kernel_score import noise_sigma
+from motdiff.threads import side_by_side
+
+__all__ = ["LARGE_PX", "PsfChoice", "choose_psf", "is_possible_light", "restore_chosen"]
+
+FloatArray = NDArray[np.float64]
+
+LARGE_PX = 4_000_000
+"""Photos of more pixels are restored by the Wiener filter: TV would take a minute."""
+
+_CROP_PX = 384
+_LEAST_SIGMA = 1e-3
+# in dB of PSNR that a factor of e in the residual, and a full scale of impossible light (rms), cost on simulated photos
+_RESIDUAL_DB, _IMPOSSIBLE_DB = 0.3, 88.0
+_NO_SPARSER = 0.95  # of the photo's own gradients
+_MOST_IMPOSSIBLE = 0.15  # rms, of the photo's standard deviation
+_WRONG_PSF = 20.0  # an estimated PSF errs by more than the noise: factor of its variance for the Wiener filter
+_TV_WEIGHT, _TV_SIGMA = 1e-3, 0.007  # the default weight, good up to this noise; above it grows as the noise's power
+
+
+@dataclass(frozen=True)
+class PsfChoice:
+    """The PSF chosen for a photo.
+
+    Attributes
+    ----------
+    name : str or None
+        Of the PSF; None where no restoration is better than the photo.
+    scores_db : dict from name to float
+        Of each PSF; differences stand for expected differences of PSNR.
+    sparsity : dict from name to float
+        L1 over L2 norm of the restored gradients, over that of the photo's: below 1
+        where it is sharper and does not ring.
+    """
+
+    name: str | None
+    scores_db: dict[str, float]
+    sparsity: dict[str, float]
+
+
+def choose_psf(photo: ArrayLike, psfs: Mapping[str, ArrayLike], *, prior_db: Mapping[str, float]) -> PsfChoice:
+    """Choose among PSFs by restorations of a textured crop of the photo.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    psfs : mapping from a name to a (S, S) array_like, sum 1
+    prior_db : mapping from a name to float
+        How much better one kind of PSF is than another where nothing else is known.
+
+    Raises
+    ------
+    ValueError
+        If an argument is malformed.
+    """
+    grey = luminance(photo)
+    side = min(_CROP_PX, *grey.shape)
+    row, column = pick_crops(grey, size=side, count=1)[0]
+    crop = np.ascontiguousarray(grey[row : row + side, column : column + side])
+    sigma = max(noise_sigma(crop), _LEAST_SIGMA)
+    own = _sparsity(crop)
+    scores, sparsity = {}, {}
+    for name, psf in psfs.items():
+        restored = tv(crop, psf, weight=_tv_weight(sigma))
+        residual = max(misfit(crop, restored, psf), sigma)
+        scores[name] = float(
+            prior_db[name] - _RESIDUAL_DB * np.log(residual / sigma) - _IMPOSSIBLE_DB * _impossible(restored)
+        )
+        sparsity[name] = _sparsity(restored) / own
+    sharper = [name for name in scores if sparsity[name] < _NO_SPARSER]
+    return PsfChoice(max(sharper, key=scores.__getitem__, default=None), scores, sparsity)
+
+
+def restore_chosen(photo: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, str]:
+    """Restore a whole photo: by TV with a weight for its noise; above :data:`LARGE_PX` pixels by the Wiener filter.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    psf : (S, S) array_like, sum 1
+
+    Returns
+    -------
+    float64 like ``photo``, not clipped, and the name of the method
+    """
+    channels = channels_first(photo)
+    if channels[0].size <= LARGE_PX:
+        weight = _tv_weight(noise_sigma(channels.mean(axis=0)))
+        jobs = [partial(tv, channel, psf, weight=weight) for channel in channels]
+        return channels_last(np.stack(side_by_side(jobs))), "tv"
+    side = 2 * _CROP_PX
+    row, column = pick_crops(channels.mean(axis=0), size=side, count=1)[0]
+    jobs = []
+    for channel in channels:
+        # a crop's spectra stand for the photo's, and its border is a strip: seconds instead of minutes
+        found = fit_spectrum(channel[row : row + side, column : column + side], trimmed_psf(psf))
+        jobs.append(
+            partial(
+                wiener,
+                channel,
+                psf,
+                noise_variance=_WRONG_PSF * found.noise,
+                scene_strength=found.scene,
+                border_rounds=0,
+            )
+        )
+    return channels_last(np.stack(side_by_side(jobs))), "wiener"
+
+
+def is_possible_light(restored: ArrayLike, photo: ArrayLike) -> bool:
+    """Whether a restoration stays within 0..1, but for a small share of the contrast of its photo."""
+    return _impossible(np.asarray(restored)) <= _MOST_IMPOSSIBLE * float(np.std(luminance(photo)))
+
+
+def _impossible(restored: FloatArray) -> float:
+    """RMS of the light below 0 and above 1."""
+    return float(np.sqrt(np.mean((restored - np.clip(restored, 0, 1)) ** 2)))
+
+
+def _tv_weight(sigma: float) -> float:
+    return float(_TV_WEIGHT * max(1.0, sigma / _TV_SIGMA) ** 2)
+
+
+def _sparsity(image: FloatArray) -> float:
+    """L1 over L2 norm of the gradients, per root of their number."""
+    gradients = np.concatenate([np.diff(image, axis=axis).ravel() for axis in (0, 1)])
+    rms = float(np.sqrt(np.mean(gradients**2)))
+    return float(np.mean(np.abs(gradients))) / rms if rms > 0 else 1.0

@@ -1,0 +1,74 @@
+"""Choice of the PSF that a photo is restored with: the right one, none for a sharp photo, quickly for a large one."""
+
+import numpy as np
+import pytest
+
+from cep.restoration import choice
+from cep.restoration.choice import choose_psf, is_possible_light, restore_chosen
+from motdiff.metrics import psnr_up_to_shift
+from motdiff.simulate import photograph, visible
+from motdiff.trajectory import Trajectory
+from tests.motdiff.estimators.test_edge_widths import discs
+
+PATH = Trajectory.from_samples([[0, 0], [8, 1], [12, 7]])
+RIGHT, WRONG = PATH.psf(33), Trajectory.straight(14.0, angle_rad=-1.0).psf(33)
+SCENE = discs(260)
+EVEN = {"a": 0.0, "b": 0.0}
+
+
+def taken(scene=SCENE, *, sigma=0.003):
+    photo = photograph(scene, RIGHT, rng=np.random.default_rng(0), read_sigma=sigma)
+    return photo, visible(scene, 33)
+
+
+@pytest.mark.parametrize("sigma", [0.001, 0.01])
+def test_the_right_psf_is_chosen(sigma):
+    photo, _ = taken(sigma=sigma)
+    found = choose_psf(photo, {"a": WRONG, "b": RIGHT}, prior_db=EVEN)
+    assert found.name == "b"
+    assert found.scores_db["b"] > found.scores_db["a"]
+    assert found.sparsity["b"] < 0.95
+    again = choose_psf(photo, {"a": RIGHT, "b": RIGHT}, prior_db={"a": 0.0, "b": 0.1})
+    assert again.name == "b"
+    assert again.scores_db["b"] == pytest.approx(again.scores_db["a"] + 0.1)
+
+
+def test_a_sharp_photo_is_restored_with_none():
+    photo = SCENE + 0.003 * np.random.default_rng(0).standard_normal(SCENE.shape)
+    wide = Trajectory.straight(40.0).psf(65)
+    assert choose_psf(photo, {"a": wide}, prior_db=EVEN).name is None or not is_possible_light(
+        restore_chosen(photo, wide)[0], photo
+    )
+
+
+def test_light_beyond_black_and_white_is_impossible():
+    assert is_possible_light(SCENE, SCENE)
+    assert is_possible_light(1.02 * SCENE - 0.01, SCENE)
+    assert not is_possible_light(3 * (SCENE - 0.3), SCENE)
+
+
+def test_a_restored_photo_is_nearer_the_scene_in_every_colour():
+    colours = np.stack([SCENE, 0.8 * SCENE, discs(260, seed=2)], axis=2)
+    photo, sharp = taken(colours)
+    image, method = restore_chosen(photo, RIGHT)
+    assert method == "tv"
+    assert image.shape == photo.shape
+    for channel in range(3):
+        gain = psnr_up_to_shift(image[..., channel], sharp[..., channel]) - psnr_up_to_shift(
+            photo[..., channel], sharp[..., channel]
+        )
+        assert gain > 3
+
+
+def test_strong_noise_is_not_sharpened():
+    photo, sharp = taken(sigma=0.03)
+    assert psnr_up_to_shift(restore_chosen(photo, RIGHT)[0], sharp) > psnr_up_to_shift(photo, sharp)
+
+
+def test_a_large_photo_is_restored_by_the_fast_method(monkeypatch):
+    monkeypatch.setattr(choice, "LARGE_PX", 200 * 200)
+    photo, sharp = taken(np.stack([SCENE] * 3, axis=2))
+    image, method = restore_chosen(photo, RIGHT)
+    assert method == "wiener"
+    assert image.shape == photo.shape
+    assert psnr_up_to_shift(image[..., 0], sharp[..., 0]) > psnr_up_to_shift(photo[..., 0], sharp[..., 0]) + 2
