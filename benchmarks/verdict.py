@@ -36,7 +36,7 @@ FloatArray = NDArray[np.float64]
 LIGHT = (300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
 READ_NOISE = (2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 CHIPS, STRAIGHT_PX, WALK_PX = 40, 40.0, 60.0
-SIDE = 192  # px of a scene: other frequencies than the expectation's
+SIDE = 191  # px of a scene, odd: no frequency is its own mirror
 
 
 def gains_over_light(case: tuple[str, int, float]) -> list[float]:
@@ -128,7 +128,6 @@ def squared_errors(path: Trajectory, code: ShutterCode, camera: Camera, captures
     here = BandSamples(fx, fy, np.full(fx.size, 1 / fx.size), (fx**2 + fy**2)[:, None], np.ones((fx.size, 1)))
     inverse = inverse_scene(here)[:, 0].reshape(SIDE, SIDE)
     otf = coded_otf(path, code, fx, fy).reshape(SIDE, SIDE)
-    otf[SIDE // 2], otf[:, SIDE // 2] = otf[SIDE // 2].real, otf[:, SIDE // 2].real  # the signal is real there
     noise = noise_variance(camera, code.duty)
     wiener = np.conj(otf) / (np.abs(otf) ** 2 + noise * inverse)
     photons, read_sigma = camera.photons_full_scale, camera.noise["read_sigma"]

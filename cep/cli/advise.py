@@ -105,7 +105,6 @@ def advise(
         motion = load_motion(trajectory, linear)
         if path_error is None and trajectory is not None:
             path_error = stated_uncertainty_px(motion, trajectory)
-        claim([output], force=force, inputs=[] if trajectory is None else [trajectory])
         count = own[0].chips if own else chips
         profile = None if device is None else load_profile(device)
         seen_by, exposure_s = load_camera(camera, photons=photons, read_noise=read_noise), exposure_seconds(exposure)
@@ -118,9 +117,11 @@ def advise(
 
         error_px = path_error or 0.0
         gains: dict[int, float] = {}
-        if count is None:
+        problem = None if count is None else problem_of(count)
+        claim([output], force=force, inputs=[] if trajectory is None else [trajectory])
+        if problem is None:
             count, gains = suited_chips(problem_of, path_error_px=error_px, seed=seed, progress=part(tick, 0.0, 0.4))
-        problem = problem_of(count)
+            problem = problem_of(count)
         advice = compare_ways(problem, *own, path_error_px=error_px, seed=seed, progress=part(tick, 0.4, 1.0))
         save(advice_figure(advice), output)
     result = {**advice.to_dict(), "other_chips_db": gains, "plot": output, "seed": seed}

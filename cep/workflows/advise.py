@@ -491,9 +491,10 @@ def _searched(
 ) -> list[ShutterCode]:
     """Search the code of least expected error within the limits."""
     allowed = [code for code in starts if problem.allows(code)]
+    sought = replace(problem, objective="mse")
     found = anneal(
-        replace(problem, objective="mse"), rng=np.random.default_rng([seed, 7]), steps=_MOVES, time_s=_SEARCH_S,
-        start=allowed, threads=threads,
+        sought, rng=np.random.default_rng([seed, 7]), steps=_MOVES, time_s=_SEARCH_S, start=allowed, threads=threads,
+        judge=Objective(sought, oversampling=_COARSE, dtype=np.float64),
     )  # fmt: skip
     if found.stopped == "interrupted":
         raise KeyboardInterrupt
