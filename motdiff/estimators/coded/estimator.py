@@ -23,6 +23,7 @@ _KERNEL_SHARE, _FIT_SHARE = 0.45, 0.55  # of the time
 _SHARE_RIGHT, _ERROR_RATIO = (0.05, 0.75, 0.67, 0.88), 2.8
 _TWO_VAGUE, _TWO_ALONE = 0.3, 0.2  # two photos whose path is known less exactly; whose searches end apart
 _VAGUE_PX = 0.25
+_KERNELS_ALONE = 0.3  # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
 _ALMOST_EQUAL = 1e-3
 
 
@@ -127,10 +128,12 @@ def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> 
 def _order_probability(best: FoundPath, photos: int, *, times: int) -> float:
     """Probability that a path is the true one to within 1 px: as often as with so many photos of one scene.
 
-    It falls with what the path leaves unexplained; of two photos also where no other search ended at that path, or
+    Of photos whose kernels alone are fitted it is low. It falls with what the path leaves unexplained; of two photos also where no other search ended at that path, or
     its expected error is large, as on scenes of little texture.
     """
     share = _SHARE_RIGHT[min(photos, len(_SHARE_RIGHT)) - 1]
+    if not np.isfinite(best.misfit):
+        return min(share, _KERNELS_ALONE)
     if photos == 2 and times < 2:
         share = _TWO_ALONE
     elif photos == 2 and _ERROR_RATIO * np.sqrt((best.deviation_px**2).mean()) > _VAGUE_PX:

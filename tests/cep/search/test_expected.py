@@ -30,7 +30,7 @@ def test_it_is_that_of_the_metrics():
     table = expected_psnr_db(problem(), CODES, noise=[light_noise(dim, 9), light_noise(CAMERA, 9)])
     assert table.shape == (3, 2)
     for row, code in zip(table, CODES, strict=True):
-        assert -row[1] == pytest.approx(measure_worst(BENT, code, camera=CAMERA).mse_db, abs=0.05)
+        assert -row[1] == pytest.approx(measure_worst(BENT, code, camera=CAMERA).mse_db, abs=0.1)
         assert row[1] > row[0]  # more light never hurts
 
 
