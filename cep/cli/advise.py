@@ -140,9 +140,9 @@ def _show(console: Console, advice: Advice, other_chips_db: Mapping[int, float],
     for kind in (kind for kind in _KINDS if kind in gains):
         way = here.best(kind)
         assert way is not None  # each gain is of one
-        name = "code, the same even pulses" if kind == "code" and way.kind == "strobe" else way.label
-        rows.append((name, way.code.open_chips, f"{gains[kind]:+.2f}", f"{at_equal_light[kind]:+.2f}"))
-    columns = ("", f"open, of {problem.chips} chips", "gain, dB", "gain at equal light, dB")
+        if way.kind == kind:  # the best code may be the even pulses above
+            rows.append((way.label, way.code.open_chips, f"{gains[kind]:+.2f}", f"{at_equal_light[kind]:+.2f}"))
+    columns = ("", f"open, of {problem.chips}", "gain, dB", "at equal light, dB")
     console.print(table("over the open shutter, worse direction where unknown", columns, rows))
     levels = [
         (
