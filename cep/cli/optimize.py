@@ -81,6 +81,7 @@ _COLUMNS = {
     "noise_gain_db": "noise, dB",
     "mse_db": "MSE, dB",
     "seconds": "s",
+    "choice": "advised",
 }
 """Heads of the table of a folder."""
 

@@ -128,8 +128,8 @@ def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> 
 def _order_probability(best: FoundPath, photos: int, *, times: int) -> float:
     """Probability that a path is the true one to within 1 px: as often as with so many photos of one scene.
 
-    Of photos whose kernels alone are fitted it is low. It falls with what the path leaves unexplained; of two photos also where no other search ended at that path, or
-    its expected error is large, as on scenes of little texture.
+    It is low where their kernels alone were fitted. It falls with what the path leaves unexplained; of two photos also
+    where no other search ended at that path, or its expected error is large, as on scenes of little texture.
     """
     share = _SHARE_RIGHT[min(photos, len(_SHARE_RIGHT)) - 1]
     if not np.isfinite(best.misfit):
