@@ -20,7 +20,8 @@ __all__ = ["RandomCodes", "best_snapshot", "best_strobe", "random_codes"]
 
 Codes = NDArray[np.int8]
 FloatArray = NDArray[np.float64]
-_LENGTHS, _STARTS = 32, 16  # snapshots looked at before the best one is moved chip by chip
+_ALL_RUNS_WORK = 2**35  # multiplications that evaluating every snapshot may take: seconds
+_LENGTHS, _STARTS = 32, 16  # snapshots looked at otherwise, before the best one is moved chip by chip
 _PERIODS, _WIDTHS = 64, 32  # of strobes
 _PAIRS, _PERIODS_WITHIN = 256, 8  # of strobes within limits: widths with numbers of pulses, and periods of each
 _FIRSTS = 64  # and where chips are forced, where the first pulse begins
@@ -70,8 +71,9 @@ def random_codes(objective: Objective, count: int, *, rng: np.random.Generator) 
 def best_snapshot(objective: Objective, *, within_limits: bool = False) -> ShutterCode | None:
     """Find the best single open run, of any length and anywhere in the exposure.
 
-    With the objective "mse" its length is the one of least noise for the problem's camera. Up to 32 lengths and 16
-    starts are tried, then the best of these is moved and stretched by single chips while that helps.
+    With the objective "mse" its length is the one of least noise for the problem's camera. Every run is tried, to
+    hundreds of chips along one motion. Beyond, 32 lengths and 16 starts are tried, and the best of these is moved and
+    stretched by single chips while that helps.
 
     Parameters
     ----------
@@ -87,15 +89,19 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
     n = objective.problem.chips
     fits = _fitting_runs(objective.problem.limits) if within_limits else _fitting_runs(Limits(n, (1, n)))
     lengths = np.flatnonzero(fits.any(axis=1))
+    most_lengths, most_starts = _LENGTHS, _STARTS
+    if np.count_nonzero(fits) * objective.rows.size <= _ALL_RUNS_WORK:
+        most_lengths = most_starts = n + 1
     runs = [
         (int(start), int(start + length))
-        for length in _some(lengths, _LENGTHS)
-        for start in _some(np.flatnonzero(fits[length]), _STARTS)
+        for length in _some(lengths, most_lengths)
+        for start in _some(np.flatnonzero(fits[length]), most_starts)
     ]
     chip = np.arange(n)
     best, lowest = (0, 0), np.inf
     while runs:
-        drawn = np.array([(chip >= first) & (chip < end) for first, end in runs], dtype=np.int8)
+        firsts, ends = np.array(runs).T
+        drawn = ((chip >= firsts[:, None]) & (chip < ends[:, None])).astype(np.int8)
         costs = _costs(objective, drawn)
         if costs.min() >= lowest:
             break

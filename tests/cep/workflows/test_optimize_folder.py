@@ -188,7 +188,7 @@ def test_a_time_without_moves_is_no_cut(cep, motions):
 def test_people_see_a_table(cep, motions):
     cep(*EACH)
     assert cep.code == 0, cep.err
-    for text in ("b[1]", "min MTF", "min |P|", "motions/codes.csv"):
+    for text in ("b[1]", "min MTF", "advised", "motions/codes.csv"):
         assert text in cep.out
 
 
