@@ -1,4 +1,4 @@
-"""HTML report of the demo: motion, code, expected gains and losses, restored photos."""
+"""HTML report of the demo: the verdict, photos, motion, exposure or code, MTF, gains, commands."""
 
 from __future__ import annotations
 
@@ -9,96 +9,289 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.camera import LIGHT_LEVELS
-from cep.optics.exposure import coded_psf
+from cep.io.formatting import duration
+from cep.io.images import encode_image
+from cep.optics.band import grid_samples
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf, mtf
+from cep.optics.mtf import SCENE_MEAN, inverse_scene, noise_variance
 from cep.plots import before_after, code_strips, mtf_figure, psf_figure, trajectory_figure
-from cep.report.result_page import Report, Section, Table, picture
+from cep.plots.advice import advice_figure
+from cep.report.result_page import Picture, Report, Section, Table, picture
+from hw.device import load_profile, profile_names
+from hw.program import Program
+from motdiff.crops import luminance
 from motdiff.metrics import mnc_subpixel, path_distance_px
 from motdiff.psf_frame import PSF_PX
 
 if TYPE_CHECKING:
-    from cep.workflows.demo_chain import Chain
+    from cep.optics.camera import Camera
+    from cep.proofs.certify.certificate import Certificate
+    from cep.workflows.advise import Advice, Choice
+    from cep.workflows.demo_chain import Chain, Shot
+    from motdiff.trajectory import Trajectory
 
-__all__ = ["DEMO_PICTURES", "demo_report", "verdict"]
+__all__ = ["DEMO_PICTURES", "demo_report", "share_below_noise"]
 
-DEMO_PICTURES = ("code_strip", "mtf", "photos", "restored")
-"""Pictures of the report that are files of their own too."""
+FloatArray = NDArray[np.float64]
+DEMO_PICTURES = ("advice", "code_strip", "mtf", "photos", "scene_at_rest")
+"""Pictures of the report that are files of their own too; the code strip where a code is advised."""
 
 _SURE = 0.5
-_NOTICEABLE_DB = 0.1
+_AGREES_DB = 0.3
+_INTERVALS = 128
+_KINDS: tuple[Choice, ...] = ("open", "snapshot", "strobe", "code")
+_NAMES = {"open": "open shutter", "snapshot": "best single exposure", "coded": "best code"}
 
 
-def demo_report(chain: Chain) -> Report:
-    """Make the report of a chain."""
-    open_db, coded_db = (shot.psnr_db for shot in chain.shots[:2])
-    facts = (
-        ("path", f"{chain.motion.length_px:.1f} px long"),
-        ("confidence of the motion", f"{chain.estimate.confidence:.2f}"),
-        ("code", f"{chain.code.chips} chips, {chain.code.duty:.0%} of the light"),
-        ("restored, open shutter", f"{open_db:.2f} dB"),
-        ("restored, coded", f"{coded_db:.2f} dB ({coded_db - open_db:+.2f})"),
-        ("direction test", f"{chain.direction.direction} ({chain.direction.confidence:.2f})"),
-    )
+def demo_report(chain: Chain, *, options: str = "") -> Report:
+    """Make the report of a chain.
+
+    Parameters
+    ----------
+    chain : Chain
+    options : str
+        How camera and device are named on a command line.
+    """
     colophon = (
         f"coded-exposure {_version('coded-exposure')}, numpy {_version('numpy')}, torch {_version('torch')}, "
         f"Python {platform.python_version()}; seed {chain.seed}; camera: {chain.camera}. "
         + "Seconds: " + ", ".join(f"{what} {seconds:.1f}" for what, seconds in chain.seconds) + "."
     )  # fmt: skip
-    sections = (_motion(chain), _code(chain), _mtf(chain), _photos(chain), _light(chain), _next())
-    return Report("From one blurred photo to a shutter code", _summary(open_db, coded_db), facts, sections, colophon)
-
-
-def verdict(expected: tuple[tuple[str, tuple[float, ...]], ...]) -> str:
-    """Verdict in words, from the expected figures: where coding gains over the open shutter and where it loses.
-
-    Parameters
-    ----------
-    expected : tuple of (name, PSNR in dB at each of LIGHT_LEVELS)
-        The first row is the code; one is named "open shutter".
-    """
-    ours = np.array(expected[0][1])
-    gains = ours - np.array(dict(expected)["open shutter"])
-    wins, losses = _levels(gains, gains > _NOTICEABLE_DB), _levels(gains, gains < -_NOTICEABLE_DB)
-    parts = []
-    if wins:
-        parts.append(f"Coding is expected to gain at {wins} photo-electrons at full scale.")
-    if losses:
-        parts.append(
-            f"It is expected to lose at {losses}: the closed chips cost more light there than the flatter MTF gains."
-        )
-    if not wins and not losses:
-        parts.append("Coding and not coding are expected to differ by less than 0.1 dB at every light level.")
-    elif not losses:
-        parts.append("No light level among these is expected to lose more than 0.1 dB.")
-    for name, values in expected[1:]:
-        ahead = np.array(values) - ours
-        better = _levels(ahead, ahead > _NOTICEABLE_DB)
-        if better and name != "open shutter":
-            parts.append(f'The "{name}" is expected to do better than this code at {better}.')
-    return " ".join(parts)
-
-
-def _levels(gains_db: NDArray[np.float64], chosen: NDArray[np.bool_]) -> str:
-    return ", ".join(
-        f"{level:,.0f} ({gain:+.2f} dB)" for level, gain, one in zip(LIGHT_LEVELS, gains_db, chosen, strict=True) if one
+    sections = [_gain(chain), _photos(chain), _motion(chain), _exposure(chain), _mtf(chain), _agreement(chain)]
+    if chain.contrast is not None:
+        sections.append(_contrast(chain.contrast))
+    if chain.coded:
+        sections.append(_wiring(chain))
+    return Report(
+        "Should this exposure be coded?",
+        chain.advice.here.sentence,
+        _facts(chain),
+        (*sections, _commands(chain, options)),
+        colophon,
+        setting=_setting(chain),
+        remarks=(*_scene_remark(chain), _difference(chain)),
     )
 
 
-def _summary(open_db: float, coded_db: float) -> str:
-    gain = coded_db - open_db
-    if gain > _NOTICEABLE_DB:
-        return f"The coded photo restores {gain:.2f} dB better than the ordinary one of the same exposure time."
-    if gain < -_NOTICEABLE_DB:
-        return (
-            f"Here coding does not pay: the coded photo restores {-gain:.2f} dB worse than the ordinary one of "
-            f"the same "
-            "exposure time. The tables below say why."
+def share_below_noise(path: Trajectory, code: ShutterCode | None, camera: Camera) -> float:
+    """Share of the band, 0..1, in which the reference scene's detail lies below the camera's noise.
+
+    There the exposure records less power of a 1/f² scene than of noise.
+
+    Parameters
+    ----------
+    path : Trajectory
+    code : ShutterCode or None
+        None: the shutter is open all the time.
+    camera : Camera
+    """
+    samples = grid_samples(_INTERVALS)
+    power = mtf(path, code, samples.fx, samples.fy) ** 2
+    noise = noise_variance(camera, 1.0 if code is None else code.duty)
+    return float(samples.weight @ (power < noise * inverse_scene(samples)[:, 0]))
+
+
+# -- what to do -------------------------------------------------------------------------------------------------------
+
+
+def _setting(chain: Chain) -> str:
+    camera = chain.camera
+    named = camera.name or "a camera without a name"
+    kind = f" ({camera.kind})" if camera.kind else ""
+    device = "any shutter" if chain.device is None else f"the shutter {chain.device.name}"
+    return (
+        f"For {named}{kind}: {camera.photons_full_scale:,.0f} photo-electrons at full scale, {camera.read_noise_e:.3g} "
+        f"e⁻ of fixed noise, {camera.bits} bit; an exposure of {duration(chain.exposure_s)}, {chain.problem.chips} "
+        f"chips, {device}; motion of {chain.estimate.best.length_px:.0f} px."
+    )
+
+
+def _scene_remark(chain: Chain) -> tuple[str, ...]:
+    if chain.scene.sharp is not None:
+        return ()
+    return (
+        "The true scene of your photo is not known: its own restoration (TV) stands in for the scene, and every photo "
+        "here is simulated from it along the estimated motion. The figures compare ways to expose; they do not measure "
+        "how well your photo was restored.",
+    )
+
+
+def _expected_db(chain: Chain) -> dict[str, float]:
+    """Return the expected gain over the open shutter of each photo that was simulated, dB."""
+    opened = chain.advice.here.ways[0].psnr_db
+    return {shot.kind: shot.way.psnr_db - opened for shot in chain.shots}
+
+
+def _others(chain: Chain) -> list[Shot]:
+    """Photos taken otherwise than advised, the best single exposure first."""
+    order = ("snapshot", "coded", "open") if chain.coded else ("coded", "snapshot", "open")
+    found = [shot for kind in order if (shot := chain.shot(kind)) is not None]
+    return [shot for shot in found if shot is not chain.advised_shot]
+
+
+def _facts(chain: Chain) -> tuple[tuple[str, str], ...]:
+    expected, simulated, advised = _expected_db(chain), chain.gains_db(), chain.advised_shot.kind
+    return tuple(
+        (
+            f"{how} gain over the {_NAMES[other.kind]}",
+            f"{_signed(gains[advised] - gains[other.kind])} dB",
         )
-    return "Here the coded photo restores as well as the ordinary one: within 0.1 dB."
+        for other in _others(chain)
+        for how, gains in (("expected", expected), ("simulated", simulated))
+    )
+
+
+def _difference(chain: Chain) -> str:
+    """Why the simulated gains differ from the expected ones, if they do."""
+    expected, simulated, advised = _expected_db(chain), chain.gains_db(), chain.advised_shot.kind
+    off = {
+        other.kind: (simulated[advised] - simulated[other.kind]) - (expected[advised] - expected[other.kind])
+        for other in _others(chain)
+    }
+    far = {kind: value for kind, value in off.items() if abs(value) >= _AGREES_DB}
+    if not far:
+        return f"The simulated gains of this photo agree with the expected ones within {_AGREES_DB:g} dB."
+    said = " and ".join(
+        f"{abs(value):.1f} dB {'more' if value > 0 else 'less'} over the {_NAMES[kind]}" for kind, value in far.items()
+    )
+    mean = float(luminance(chain.reference).mean())
+    return (
+        f"In this photo the gain is {said} than expected. Expected gains are those of a typical scene (1/f² spectrum, "
+        f"mean light {SCENE_MEAN:g}) along an exactly known motion. This picture has detail of its own, borders, a "
+        f"mean light of {mean:.2f}, and {_known_in_words(chain)}."
+    )
+
+
+def _known_in_words(chain: Chain) -> str:
+    if chain.scene.motion is None:
+        return "a motion that is taken as exactly known"
+    known, found, advised = chain.gains_db(known=True), chain.gains_db(), chain.advised_shot.kind
+    return (
+        "a motion that is an estimate "
+        f"(with the true motion the gain over the open shutter is {_signed(known[advised])} dB, "
+        f"with the estimate {_signed(found[advised])} dB)"
+    )
+
+
+def _gain(chain: Chain) -> Section:
+    advice = chain.advice
+    return Section(
+        "Gain over the light",
+        (advice.where,),
+        (_gains_table(advice),),
+        (
+            picture(
+                advice_figure(advice),
+                "Expected gain of each way to expose over the open shutter, at each light level. Each is restored in "
+                "the best linear way.",
+                f"gain over the light: {advice.sentence}",
+                name="advice",
+            ),
+        ),
+    )
+
+
+def _gains_table(advice: Advice) -> Table:
+    here, advised = advice.here, None
+    rows: list[tuple[object, ...]] = []
+    for kind in _KINDS:
+        way = here.best(kind)
+        if way is None or (kind == "code" and way.kind == "strobe"):  # the same even pulses
+            continue
+        if way is here.advised:
+            advised = len(rows)
+        open_s = way.code.open_chips * way.code.chip_ns * 1e-9
+        rows.append((way.label, duration(open_s), way.code.pulses, _two(here.gains_db[kind])))
+    light = f"{here.camera.photons_full_scale:,.0f} photo-electrons at full scale"
+    return Table(
+        ("best of each kind", "open for", "openings", "expected gain, dB"),
+        tuple(rows),
+        highlight=advised,
+        note=f"At {light} and {here.camera.read_noise_e:.3g} e⁻ of fixed noise; of the worse direction where the "
+        "motion's is not known. The marked line is advised.",
+    )
+
+
+# -- photos -----------------------------------------------------------------------------------------------------------
+
+
+def _photos(chain: Chain) -> Section:
+    shown = [shot for shot in chain.shots if shot.kind == "snapshot" or shot is chain.advised_shot]
+    opened = chain.shots[0]
+    gallery = [
+        _photo(opened.photo, "Blurred", "As taken with the shutter open all the time.", "the blurred photo"),
+        *(
+            _photo(
+                shot.restored,
+                _restored_title(shot),
+                f"{_openings(shot.way.code)}; restored to {shot.psnr_db:.2f} dB.",
+                f"the scene restored from the photo of the {_NAMES[shot.kind]}",
+            )
+            for shot in shown
+        ),
+        _photo(
+            chain.reference,
+            "Scene at rest" if chain.scene.sharp is not None else "Scene assumed",
+            "What a camera at rest would see."
+            if chain.scene.sharp is not None
+            else "The restoration of your photo that the photos here are simulated from.",
+            "the scene without motion",
+            name="scene_at_rest",
+        ),
+    ]
+    best = 1 + shown.index(chain.advised_shot)
+    others = {_NAMES[shot.kind] if shot is not chain.advised_shot else "as advised": shot.restored for shot in shown}
+    table = Table(
+        ("photo", "open for", "PSNR restored, dB", "gain, dB"),
+        tuple(
+            (
+                _NAMES[shot.kind] + (" (not advised)" if shot.kind == "coded" and not chain.coded else ""),
+                duration(shot.way.code.open_chips * shot.way.code.chip_ns * 1e-9),
+                f"{shot.psnr_db:.2f}",
+                _two(shot.psnr_db - opened.psnr_db),
+            )
+            for shot in chain.shots
+        ),
+        highlight=chain.shots.index(chain.advised_shot),
+        note="Every photo is simulated with the same light on the scene and the same motion, and restored by the same "
+        "Wiener filter with this camera's noise. PSNR of grey values in linear light, up to a shift, borders left out.",
+    )
+    return Section(
+        "Photos",
+        ("Move the boundary below the pictures to compare any two of them at full size.",),
+        (table,),
+        (
+            picture(
+                before_after({"blurred": opened.photo, **others, "at rest": chain.reference}),
+                "The same pictures, and below each the framed detail enlarged.",
+                "blurred, restored and sharp pictures with an enlarged detail of each",
+                name="photos",
+            ),
+        ),
+        gallery=tuple(gallery),
+        compared=(0, best),
+    )
+
+
+def _photo(image: FloatArray, title: str, caption: str, alt: str, *, name: str = "") -> Picture:
+    return Picture(encode_image(image, ".png"), caption, alt, name, title)
+
+
+def _restored_title(shot: Shot) -> str:
+    return {"open": "Restored", "snapshot": "Single exposure, restored", "coded": "Coded, restored"}[shot.kind]
+
+
+def _openings(code: ShutterCode) -> str:
+    count = "one opening" if code.pulses == 1 else f"{code.pulses} openings"
+    return f"Open for {duration(code.open_chips * code.chip_ns * 1e-9)} in {count}"
+
+
+# -- motion -----------------------------------------------------------------------------------------------------------
 
 
 def _motion(chain: Chain) -> Section:
-    estimate, motion = chain.estimate, chain.motion
+    estimate, motion = chain.estimate, chain.estimate.best
     paragraphs = [
         f"{chain.scene.name}. The method {estimate.method} found a path of {motion.length_px:.1f} px, "
         f"{motion.extent_px:.1f} px wide, with confidence {estimate.confidence:.2f}.",
@@ -112,18 +305,40 @@ def _motion(chain: Chain) -> Section:
             f"{mnc_subpixel(estimate.psf, psfs['true']):.3f} (1 is perfect), the path lies "
             f"{path_distance_px(motion, truth):.2f} px off on average."
         )
-    warnings = [*chain.scene.warnings, *estimate.warnings]
-    if estimate.confidence < _SURE:
-        warnings.append("The confidence is low: everything below builds on a motion that may be wrong.")
     if motion.direction == "unknown":
         paragraphs.append(
-            "A path and its reverse give the same photo, so one ordinary photo cannot tell the direction: "
-            "the code is designed for the worse of the two."
+            "One ordinary photo cannot tell the direction: a path and its reverse give the same photo. So the exposure "
+            "is chosen for the worse of the two."
         )
+    if (better := chain.refinement) is not None and better.kept == "refined":
+        told = "and now has a direction" if better.trajectory.direction == "known" else "its direction is still open"
+        paragraphs.append(
+            f"The blurred and the coded photo together refine the path (cep refine): it is expected to be "
+            f"{better.uncertainty_px:.2f} px off, {told}. All photos here are restored along the refined path."
+        )
+    elif chain.coded:
+        paragraphs.append(
+            "Two to four photos of the same motion through known codes would tell its direction and order in time, and "
+            "the error of the path: cep calibration-set designs the codes. Once a coded photo is taken, cep refine "
+            "improves the path by it."
+        )
+    warnings = [*chain.scene.warnings, *estimate.warnings]
+    if estimate.confidence < _SURE:
+        warnings.append("The confidence is low: everything on this page builds on a motion that may be wrong.")
+    others = tuple(
+        (f"alternative {i}", weight, path.length_px, path_distance_px(path, motion))
+        for i, (weight, path) in enumerate(zip(estimate.weights[1:], estimate.trajectories[1:], strict=True), 1)
+    )
+    tables: tuple[Table, ...] = ()
+    if others:
+        rows = (("most likely", estimate.weights[0], motion.length_px, 0.0), *others)
+        note = "Other paths that explain the blurred photo."
+        tables = (Table(("path", "probability", "length, px", "distance, px"), rows, highlight=0, note=note),)
     return Section(
         "Motion",
         tuple(paragraphs),
-        pictures=(
+        tables,
+        (
             picture(
                 trajectory_figure(chain.scene.photo, motion),
                 "The photo and the estimated motion. Dots mark equal steps of time: where they crowd, the camera "
@@ -136,157 +351,228 @@ def _motion(chain: Chain) -> Section:
                 "point spread functions side by side",
             ),
         ),
-        warnings=tuple(warnings),
+        tuple(warnings),
     )
 
 
-def _code(chain: Chain) -> Section:
-    figures = ("noise_gain_db", "dnf_db", "flatness_var", "mse_db")
-    table = Table(
-        ("code", "open chips", "light, %", "noise gain, dB", "DNF, dB", "flatness (variance)", "error, dB"),
+# -- exposure ---------------------------------------------------------------------------------------------------------
+
+
+def _exposure(chain: Chain) -> Section:
+    code = chain.advised_shot.way.code
+    if not chain.coded:
+        said = f"{_openings(code)}: the camera's own shutter does that, and nothing is to be wired."
+        return Section("Exposure", (said,))
+    chip_ms = code.chip_ns * 1e-6
+    rows: list[tuple[object, ...]] = []
+    at = 0
+    for bit, count in code.runs:
+        if bit:
+            rows.append((str(len(rows) + 1), at * chip_ms, count * chip_ms, (at + count) * chip_ms))
+        at += count
+    times = Table(
+        ("opening", "opens at, ms", "open for, ms", "closes at, ms"),
+        tuple(rows),
+        note=f"Light comes through for {code.duty:.0%} of the exposure.",
+    )
+    program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
+    profiles = [load_profile(name) for name in profile_names()]
+    if chain.device is not None and chain.device not in profiles:
+        profiles.insert(0, chain.device)
+    checks = [(profile, profile.check(program)) for profile in profiles]
+    devices = Table(
+        ("shutter or controller", "this code"),
         tuple(
-            (row.label, row.code.open_chips, 100 * row.code.duty, *(row.metrics.in_words(figure) for figure in figures))
-            for row in chain.compared
+            (profile.name, "can be played" if not broken else broken[0].removeprefix(f"{profile.name}: "))
+            for profile, broken in checks
         ),
-        highlight=0,
-        note="Along the estimated motion, the worse direction where it is unknown; light-true, so a darker code pays "
-        "for the light it loses. Noise gain and DNF are those of the inverse filter, the error is "
-        "the expected mean square error of the Wiener filter with this camera's noise; lower is better everywhere. The "
-        "best snapshot is the one exposure, of any length, with the least error, the best strobe the periodic pulses; "
-        "codes outside the limits on light could not be chosen; the length-only code was searched for "
-        "a straight motion as long as this one; the random code is the middle one of 15.",
+        highlight=None if chain.device is None else profiles.index(chain.device),
+        note="By the typical figures of each profile; a file of your own device replaces them (--device FILE). With "
+        "--device only codes are searched that it can play.",
     )
-    strips = {row.name: row.code for row in chain.compared if row.name != "open shutter"}
     return Section(
         "Code",
-        (
-            f"{chain.search.steps:,} moves of the annealing search took {chain.search.seconds:.1f} s. "
-            f"The code: {chain.code.bits}",
-        ),
-        (table,),
+        (f"{code.chips} chips of {chip_ms:.4g} ms, 1 is open: {code.bits}",),
+        (times, devices),
         (
             picture(
-                code_strips(strips),
-                "Codes over time: yellow is open.",
-                "shutter codes as strips of chips",
+                code_strips({_NAMES[shot.kind]: shot.way.code for shot in chain.shots if shot.kind != "open"}),
+                "The exposures over time: yellow is open.",
+                "the code and the best single exposure as strips of chips",
                 name="code_strip",
             ),
         ),
-        ("The search was stopped by its time limit: another machine may find another code.",)
-        if chain.search.stopped == "time"
-        else (),
     )
 
 
 def _mtf(chain: Chain) -> Section:
-    shown = ("this code", "open shutter", "best snapshot")
-    codes = {row.name: row.code for row in chain.compared if row.name in shown}
-    figure = mtf_figure(chain.motion, codes)
-    size = chain.motion.frame_size(PSF_PX)
-    psfs = {"open shutter": chain.motion.psf(size), "this code": coded_psf(chain.motion, chain.code, size)}
-    return Section(
-        "MTF",
+    path, camera = chain.estimate.best, chain.camera
+    shots = [shot for shot in chain.shots if shot.kind != "coded" or chain.coded]
+    certificates = dict(chain.certificates)
+    below = {shot.kind: _below(path, shot, camera) for shot in shots}
+    rows = tuple(
         (
-            "What the motion leaves of each spatial frequency. The open shutter starts at 1 and falls into deep "
-            "valleys; "
-            "the code starts lower, at its share of the light, and should keep the valleys shallow.",
-        ),
-        pictures=(
-            picture(
-                figure,
-                "Above: along the motion's main axis. Below: the whole band, all maps on one scale.",
-                "modulation transfer functions",
-                name="mtf",
-            ),
-            picture(psf_figure(psfs), "The motion as the open and the coded shutter draw it.", "two PSFs"),
-        ),
+            _NAMES[shot.kind],
+            _bounds(certificates[shot.kind]),
+            f"{100 * below[shot.kind]:.0f}",
+        )
+        for shot in shots
     )
-
-
-def _photos(chain: Chain) -> Section:
     table = Table(
-        ("photo", "light, %", "PSNR of the restoration, dB"),
-        tuple((shot.name, 100 * shot.code.duty, shot.psnr_db) for shot in chain.shots),
-        highlight=1,
-        note="Grey, linear light, up to a shift, borders left out, against the scene at rest. Both photos have the "
-        "same exposure time and the same motion; Wiener filter with the camera's noise.",
+        ("exposure", "smallest MTF, proven", "band below the noise, %"),
+        rows,
+        highlight=shots.index(chain.advised_shot),
+        note="Of all detail that the pixels could show, the share that is below the noise of this camera at this "
+        "light; along the estimated motion, the worse direction where it is not known.",
     )
-    open_shot, coded_shot = chain.shots[:2]
-    light = coded_shot.code.duty
-    taken = {
-        "open shutter, as taken": open_shot.photo,
-        "coded, as taken": coded_shot.photo,
-        f"coded, brightened {1 / light:.2g} times": coded_shot.photo / light,
-    }
-    restored = {
-        "open shutter, restored": open_shot.restored,
-        "coded, restored": coded_shot.restored,
-        "scene at rest": chain.reference,
-    }
-    likely = {
-        "forward": "runs as drawn",
-        "reverse": "runs backwards",
-        "reordered": "runs through some of its loops the other way round",
-        "undecidable": "cannot be told",
-    }
+    size = path.frame_size(PSF_PX)
+    psfs = {_NAMES[shot.kind]: coded_psf(path, shot.way.code, size) for shot in shots}
+    advised, opened = chain.advised_shot.kind, below["open"]
     paragraphs = [
-        f"The coded photo is simulated: this camera, this motion, this code. The direction test says that the motion "
-        f"{likely[chain.direction.direction]} (confidence {chain.direction.confidence:.2f})."
+        "The MTF says how much contrast the motion leaves to detail of each size. Where it dips below the noise the "
+        "detail is lost, and no restoration brings it back.",
+        _dips(certificates[advised]),
     ]
-    if chain.scene.sharp is None:
+    if advised != "open":
         paragraphs.append(
-            "The true scene of your photo is not known: its own restoration (TV) stands in for the scene, and "
-            "both photos "
-            "here are simulated from it with the estimated motion. The figures compare the two ways of exposing, "
-            "they do "
-            "not measure how well your photo was restored."
+            f"The open shutter records {opened:.0%} of the band below the noise, the exposure advised "
+            f"{below[advised]:.0%}."
         )
     return Section(
-        "Photos",
+        "MTF",
         tuple(paragraphs),
         (table,),
         (
             picture(
-                before_after(taken, detail_of=chain.reference),
-                "Before. Below: the framed detail. The coded photo is darker, since the shutter was closed for part of "
-                "the time.",
-                "the ordinary and the coded photo, with a detail of each",
-                name="photos",
+                mtf_figure(path, {_NAMES[shot.kind]: shot.way.code for shot in shots}),
+                "Above: along the motion's main axis. Below: the whole band, all maps on one scale.",
+                "modulation transfer functions of the exposures",
+                name="mtf",
             ),
             picture(
-                before_after(restored),
-                "After, all at the brightness of the full exposure. Below: the framed detail.",
-                "both photos restored, beside the scene at rest",
-                name="restored",
+                psf_figure(psfs),
+                "The motion as each exposure draws it.",
+                "point spread functions of the exposures",
             ),
         ),
     )
 
 
-def _light(chain: Chain) -> Section:
-    columns = ("code", *(f"{level:,.0f} e⁻" for level in LIGHT_LEVELS))
-    table = Table(
-        columns,
-        tuple((name, *values) for name, values in chain.expected_db),
-        highlight=0,
-        note="Expected PSNR, dB, of the Wiener restoration of a 1/f² scene, by photo-electrons at full scale, at this "
-        f"camera's read noise of {chain.camera.read_noise_e:g} e⁻; the motion taken as exactly known.",
+def _below(path: Trajectory, shot: Shot, camera: Camera) -> float:
+    ways = (path,) if path.direction == "known" else (path, path.reversed())
+    return max(share_below_noise(way, shot.way.code, camera) for way in ways)
+
+
+def _bounds(certificate: Certificate) -> str:
+    if certificate.upper == 0:
+        return "0"
+    return f"{certificate.lower:.2g} to {certificate.upper:.2g}"
+
+
+def _dips(certificate: Certificate) -> str:
+    fx, fy = certificate.at
+    where = f"detail of {1 / max(np.hypot(fx, fy), 1e-9):.1f} px per period" if np.hypot(fx, fy) > 0 else "no detail"
+    if certificate.upper < 1e-4:
+        return (
+            f"The MTF of the exposure advised touches zero, at {where} for one. Along a curved motion such zeros are "
+            "single points of the band. Their number and width count: the table says what share they take."
+        )
+    return (
+        f"The MTF of the exposure advised is nowhere in the band below {certificate.lower:.4f} (proven), and lowest at "
+        f"{where}."
     )
-    return Section("Where coding gains and where it loses", (verdict(chain.expected_db),), (table,))
 
 
-def _next() -> Section:
+# -- expected and simulated -------------------------------------------------------------------------------------------
+
+
+def _agreement(chain: Chain) -> Section:
+    expected, simulated, known = _expected_db(chain), chain.gains_db(), chain.gains_db(known=True)
+    table = Table(
+        ("exposure", "expected, dB", "simulated, dB", "simulated, true motion, dB"),
+        tuple(
+            (_NAMES[kind], _two(expected[kind]), _two(simulated[kind]), _two(known[kind]) if kind in known else None)
+            for kind in simulated
+        ),
+        highlight=list(simulated).index(chain.advised_shot.kind),
+        note="Gain over the open shutter, restored.",
+    )
+    return Section("Expected and simulated gain", (_difference(chain),), (table,))
+
+
+def _contrast(advice: Advice) -> Section:
+    camera = advice.here.camera
+    wrong = advice.choice not in ("strobe", "code")
     return Section(
-        "With your own camera",
+        "Where coding is wrong" if wrong else "Another camera",
         (
-            "The folder of this report holds the motion (trajectory.json, psf.npy, psf.mat), the code "
-            "(code.json), and the "
-            "shutter program as shutter_code.h, .csv and .json.",
-            "make demo PHOTO=path, or cep demo --photo path, does the same on a blurred photo of yours; cep "
-            "upload code.json "
-            "--port PORT puts the code on a shutter controller; cep deblur restores the coded photo.",
+            f"The same motion and exposure with {camera.name} ({camera.kind}): {advice.sentence}",
+            "The closed chips of a code cost light. That pays only where fixed noise, as of compression or of reading "
+            "out, is large against the noise of the light itself.",
+        ),
+        (_gains_table(advice),),
+        (
+            picture(
+                advice_figure(advice),
+                "As above, for this camera.",
+                f"gain over the light: {advice.sentence}",
+            ),
         ),
     )
+
+
+def _wiring(chain: Chain) -> Section:
+    assert chain.code is not None  # only where one is advised
+    shortest = min(count for bit, count in chain.code.runs if bit) * chain.code.chip_ns * 1e-9
+    return Section(
+        "Shutter and wiring",
+        (
+            f"The shutter must open for {duration(shortest)} at the shortest and close as fast; the table of the code "
+            "lists devices that can.",
+            "A liquid-crystal shutter before the lens (ferro-electric for chips below 1 ms), or an LED strobe in the "
+            "dark, follows a TTL line. An Arduino Uno or Nano with the project's firmware plays the code on that line; "
+            "chips below 50 us need a Raspberry Pi Pico. Keep a resistor of 10 kOhm from the line to ground: closed is "
+            "low. The camera exposes for the whole time, and its trigger output starts the code.",
+            "Cameras with several exposures in one frame (FLIR trigger mode 5, Sony Pregius burst) need no shutter: "
+            "cep export --format camera writes the code as a list of widths and gaps.",
+            "docs/hardware.md of the project has every route, the firmware, and how to check the edges with a logic "
+            "analyser.",
+        ),
+    )
+
+
+def _commands(chain: Chain, options: str) -> Section:
+    count, whole_ns = chain.problem.chips, chain.problem.chips * chain.problem.chip_ns
+    exposure = f"{whole_ns}ns" if whole_ns % 1000 else f"{whole_ns // 1000}us"
+    along = " ".join(
+        filter(None, ("--trajectory motion/trajectory.json", f"--chips {count} --exposure {exposure}", options))
+    )
+    commands = ["cep calibrate blurred.png -o motion", f"cep advise {along}"]
+    kept = "The folder of this page holds the blurred photo and the motion (trajectory.json, psf.npy, psf.mat)."
+    if chain.coded:
+        opened = "1" * count
+        commands += [
+            f"cep optimize {along} -o code.json",
+            "cep upload code.json --port auto --arm",
+            f"cep refine blurred.png coded.png --code {opened} --code code.json --trajectory motion/trajectory.json "
+            "-o refined.json",
+            "cep deblur coded.png --trajectory refined.json --code code.json -o sharp.png",
+        ]
+        kept += " It also holds the code (code.json) and the shutter program (shutter_code.h, .csv and .json)."
+    elif chain.choice == "open":
+        commands.append("cep deblur blurred.png --trajectory motion/trajectory.json -o sharp.png")
+    else:
+        commands.append("cep deblur shorter.png -o sharp.png")
+    again = "cep demo --photo FILE makes this page of a blurred photo of yours, --camera NAME of another camera."
+    return Section("With your own camera", (kept, again), commands=tuple(commands))
+
+
+def _two(value: float) -> str:
+    return f"{value:+.2f}".replace("-", "−")
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.1f}".replace("-", "−")
 
 
 def _version(distribution: str) -> str:

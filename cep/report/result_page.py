@@ -1,8 +1,13 @@
-"""HTML report as one self-contained file: pictures embedded, no script, no network requests."""
+"""HTML report as one self-contained file: pictures embedded, no network requests.
+
+The one script in it, whose hash the page's security policy names, lays two pictures of a gallery over each other with a
+movable boundary. Without it the gallery itself still shows them.
+"""
 
 from __future__ import annotations
 
 import base64
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -31,12 +36,15 @@ class Picture:
         Content, for readers who cannot see it.
     name : str
         Name of a separate file, without suffix; none when empty.
+    title : str
+        Two or three words above it in a gallery.
     """
 
     png: bytes
     caption: str
     alt: str
     name: str = ""
+    title: str = ""
 
     @property
     def data_uri(self) -> str:
@@ -73,13 +81,31 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a report: text, tables, pictures, warnings."""
+    """A section of a report: text, warnings, a gallery, tables, pictures, commands, in this order.
+
+    Attributes
+    ----------
+    title : str
+    paragraphs, warnings : tuple of str
+    gallery : tuple of Picture
+        Photos of one scene, side by side; each needs a title.
+    compared : (int, int), optional
+        Which of the gallery are laid over each other, full size, with a movable boundary between them.
+    tables : tuple of Table
+    pictures : tuple of Picture
+        Figures, below each other.
+    commands : tuple of str
+        Lines for a shell.
+    """
 
     title: str
     paragraphs: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
     pictures: tuple[Picture, ...] = ()
     warnings: tuple[str, ...] = ()
+    gallery: tuple[Picture, ...] = ()
+    compared: tuple[int, int] | None = None
+    commands: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -91,8 +117,12 @@ class Report:
     title : str
     summary : str
         The result in one or two sentences.
+    setting : str
+        For which case it holds: the line above it.
     facts : tuple of (name, value)
         Key figures.
+    remarks : tuple of str
+        What the key figures do not say.
     sections : tuple of Section
     colophon : str
         Versions, seed, command: how to make it again.
@@ -103,6 +133,8 @@ class Report:
     facts: tuple[tuple[str, str], ...] = ()
     sections: tuple[Section, ...] = ()
     colophon: str = ""
+    setting: str = ""
+    remarks: tuple[str, ...] = ()
 
 
 def picture(figure: Figure, caption: str, alt: str, *, name: str = "") -> Picture:
@@ -115,11 +147,15 @@ def picture(figure: Figure, caption: str, alt: str, *, name: str = "") -> Pictur
 def html(report: Report) -> str:
     """Render a report as one HTML page; every text in it is escaped."""
     from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup  # the script is the package's own
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters["cell"] = _cell
-    source = (resources.files("cep.report") / "templates" / "report.html.j2").read_text(encoding="utf-8")
-    return environment.from_string(source).render(report=report)
+    source, script = (_template(name) for name in ("report.html.j2", "compare.js"))
+    if not any(section.compared for section in report.sections):
+        script = ""
+    allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return environment.from_string(source).render(report=report, script=Markup(script), allowed=allowed)
 
 
 def write_report(path: Path | str, report: Report) -> None:
@@ -131,6 +167,10 @@ def write_report(path: Path | str, report: Report) -> None:
     report : Report
     """
     write_text(path, html(report))
+
+
+def _template(name: str) -> str:
+    return (resources.files("cep.report") / "templates" / name).read_text(encoding="utf-8")
 
 
 def _cell(value: object) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from cep.io.files import StoredCode, json_text, write_code
@@ -17,22 +18,26 @@ from hw.program import Program
 
 __all__ = ["DEMO_FILES", "write_demo"]
 
-_PHOTOS = {"blurred.png": "scene", "coded.png": "coded", "restored_open.png": "open", "restored_coded.png": "restored"}
+_PHOTOS = {"blurred.png": "open", "coded.png": "coded"}
+_RESTORED = {"restored_open.png": "open", "restored_snapshot.png": "snapshot", "restored_coded.png": "coded"}
 _PROGRAMS = {f"shutter_code{exporter.suffix}": file_format for file_format, exporter in EXPORTERS.items()}
+_OF_A_CODE = ("code.json", "coded.png", "restored_coded.png", "code_strip.png", *_PROGRAMS)
 DEMO_FILES = (
-    "report.html", "demo.json", "code.json", *(f"{name}.png" for name in DEMO_PICTURES), *_PHOTOS, *_PROGRAMS,
-    *CALIBRATION_FILES,
+    "report.html", "demo.json", "code.json", *(f"{name}.png" for name in DEMO_PICTURES), *_PHOTOS, *_RESTORED,
+    *_PROGRAMS, *CALIBRATION_FILES,
 )  # fmt: skip
-"""What :func:`write_demo` writes."""
+"""What :func:`write_demo` writes; the code, its programs and pictures only where a code is advised."""
 
 
-def write_demo(folder: Path | str, chain: Chain, *, force: bool = False) -> Mapping[str, object]:
+def write_demo(folder: Path | str, chain: Chain, *, options: str = "", force: bool = False) -> Mapping[str, object]:
     """Write the report and everything it speaks of.
 
     Parameters
     ----------
     folder : path of a folder, made when missing
     chain : Chain
+    options : str
+        How camera and device are named on a command line, for the commands in the report.
     force : bool
         Whether existing files may be replaced.
 
@@ -46,39 +51,53 @@ def write_demo(folder: Path | str, chain: Chain, *, force: bool = False) -> Mapp
         If a file exists and ``force`` is not given, or the folder cannot be written to.
     """
     target = Path(folder)
-    program = Program.from_bits(chain.code.bits, chip_ns=chain.code.chip_ns)
-    open_shot, coded_shot = chain.shots[:2]
-    figures = {
-        "report": str(target / "report.html"),
-        "photo": chain.scene.name,
-        "method": chain.estimate.method,
-        "length_px": chain.motion.length_px,
-        "confidence": chain.estimate.confidence,
-        "bits": chain.code.bits,
-        "metrics": chain.metrics.to_dict(),
-        "psnr_db": {shot.name: shot.psnr_db for shot in chain.shots},
-        "gain_db": coded_shot.psnr_db - open_shot.psnr_db,
-        "expected_psnr_db": dict(chain.expected_db),
-        "direction": chain.direction.direction,
-        "direction_confidence": chain.direction.confidence,
-        "camera": chain.camera.to_dict(),
-        "seed": chain.seed,
-        "warnings": [*chain.scene.warnings, *chain.estimate.warnings],
-    }
+    figures = {"report": str(target / "report.html"), **_figures(chain)}
     with new_folder(target, DEMO_FILES, force=force) as made:
         source = {"image": chain.scene.name, "seed": chain.seed}
         write_calibration(made, chain.estimate, chain.scene.photo, source=source)
-        stored = StoredCode(chain.code, chain.metrics.to_dict(), {"objective": "mse", "chips": chain.code.chips})
-        write_code(made / "code.json", stored)
-        for name, file_format in _PROGRAMS.items():
-            write_text(made / name, export_program(program, file_format))
         write_image(made / "blurred.png", chain.scene.photo, bits=16)
-        write_image(made / "coded.png", coded_shot.photo, bits=16)
-        write_image(made / "restored_open.png", open_shot.restored)
-        write_image(made / "restored_coded.png", coded_shot.restored)
-        report = demo_report(chain)
-        for shown in (shown for section in report.sections for shown in section.pictures if shown.name):
-            (made / f"{shown.name}.png").write_bytes(shown.png)
+        for name, kind in _RESTORED.items():
+            if (shot := chain.shot(kind)) is not None and (chain.coded or name not in _OF_A_CODE):
+                write_image(made / name, shot.restored)
+        if chain.code is not None:
+            metrics = chain.problem.measure(chain.code).to_dict()
+            certificate = dict(chain.certificates)["coded"].to_dict()
+            described = {"objective": "mse", "chips": chain.code.chips}
+            write_code(made / "code.json", StoredCode(chain.code, metrics, described, certificate))
+            program = Program.from_bits(chain.code.bits, chip_ns=chain.code.chip_ns)
+            for name, file_format in _PROGRAMS.items():
+                with suppress(ValueError):  # the sketch plays chips of 50 us to 32 ms only
+                    write_text(made / name, export_program(program, file_format))
+            write_image(made / "coded.png", chain.advised_shot.photo, bits=16)
+        report = demo_report(chain, options=options)
+        shown = [one for section in report.sections for one in (*section.pictures, *section.gallery) if one.name]
+        for one in shown:
+            (made / f"{one.name}.png").write_bytes(one.png)
         write_report(made / "report.html", report)
         write_text(made / "demo.json", json_text(figures))
     return figures
+
+
+def _figures(chain: Chain) -> dict[str, object]:
+    here, psnr_db = chain.advice.here, {shot.kind: shot.psnr_db for shot in chain.shots}
+    kinds = ("open", "snapshot", "coded")
+    return {
+        "verdict": here.sentence,
+        "choice": chain.choice,
+        "gains_db": here.gains_db,
+        "psnr_db": {kind: psnr_db.get(kind) for kind in kinds},
+        "simulated_gains_db": chain.gains_db(),
+        "crossover": chain.advice.crossover,
+        "photo": chain.scene.name,
+        "method": chain.estimate.method,
+        "length_px": chain.estimate.best.length_px,
+        "confidence": chain.estimate.confidence,
+        "path_uncertainty_px": None if chain.refinement is None else chain.refinement.uncertainty_px,
+        "bits": None if chain.code is None else chain.code.bits,
+        "chips": chain.problem.chips,
+        "chip_ns": chain.problem.chip_ns,
+        "camera": chain.camera.to_dict(),
+        "device": None if chain.device is None else chain.device.name,
+        "seed": chain.seed,
+        "warnings": [*chain.scene.warnings, *chain.estimate.warnings],
+    }

@@ -1,9 +1,9 @@
-"""The chain itself: one blurred photo in, motion, code, shutter program, coded photo and restorations out."""
+"""The chain itself: one blurred photo in, motion, verdict, exposures, restorations and, where it pays, a code out."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,36 +14,47 @@ from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.optics.path_limits import check_resolved
-from cep.proofs.measure import CodeMetrics
-from cep.restoration import restore
-from cep.restoration.direction import DirectionResult, detect_direction
-from cep.search.expected import expected_psnr_db, light_noise
-from cep.search.problem import SearchProblem, open_range_of_duty
-from cep.search.recipe import Found
+from cep.proofs.certify.certificate import Certificate, certify
+from cep.restoration import Restoration, restore
+from cep.search.problem import SearchProblem
+from cep.workflows.advise import LEVELS, Advice, Choice, Way, advise, suited_chips
 from cep.workflows.calibrate import estimate_motion
-from cep.workflows.compare import BaselineRow, compare
-from cep.workflows.optimize import Search, search
-from motdiff.crops import luminance
+from cep.workflows.refine import Refinement, refine_motion
+from hw.device import DeviceProfile
+from motdiff.crops import luminance, pick_crops
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.motions import quadratic
 from motdiff.simulate import to_linear, visible
 from motdiff.trajectory import Trajectory
 
-__all__ = ["Chain", "Scene", "Shot", "bundled_scene", "own_photo", "run_chain"]
+__all__ = [
+    "CONTRAST",
+    "EXPOSURE_S",
+    "STANDARD_CAMERA",
+    "Chain",
+    "Scene",
+    "Shot",
+    "bundled_scene",
+    "own_photo",
+    "run_chain",
+]
 
 
 FloatArray = NDArray[np.float64]
 
-_DUTY = (0.35, 0.75)
+STANDARD_CAMERA = "video-8bit"
+"""Profile of the bundled case: its fixed noise is large enough for a code to be the best exposure."""
+CONTRAST = "sony-imx250"
+"""Profile that a code is compared on as well: a modern sensor whose fixed noise is small."""
+EXPOSURE_S = 1 / 30
+"""Length of the exposure where none is given."""
+
 _MOST_CHIPS = 64
-_STEPS = 400_000  # as in the benchmark's protocols
-_SEARCH_S = 30.0
 _LARGEST_SCENE_PX = 768
 _RESTORATION = "wiener"
-_CHIP_NS = 1_000_000
-_BLIND_SHARE = 0.5  # of the chain's time, as are the others' below
-_RESTORED = (0.64, 0.98)
+_REFINED_PX = 192  # crop that the path is refined on: larger ones take longer and are little better
+_CALIBRATED, _ADVISED, _REFINED, _RESTORED = 0.42, 0.6, 0.88, 0.94  # shares of the chain's time when each is done
 
 
 @dataclass(frozen=True)
@@ -52,58 +63,124 @@ class Shot:
 
     Attributes
     ----------
-    name : str
-    code : ShutterCode
-        All open, for the photo that a camera takes anyway.
+    kind : {"open", "snapshot", "coded"}
+    way : Way
+        How it was exposed.
     photo, restored : float ndarrays, linear light
+        The restoration is at the brightness of the open exposure.
     psnr_db : float
         Of the restoration, grey, linear light, up to shift.
+    known_psnr_db : float or None
+        The same where the true motion is known exactly; None where it is not known.
     """
 
-    name: str
-    code: ShutterCode
+    kind: str
+    way: Way
     photo: FloatArray
     restored: FloatArray
     psnr_db: float
+    known_psnr_db: float | None = None
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Everything that the demo found, for its files and its report; the first row of ``compared`` is the code's."""
+    """Everything that the demo found, for its files and its report.
+
+    Attributes
+    ----------
+    scene : Scene
+    camera : Camera
+        Takes the simulated photos, and is what the exposure is chosen for.
+    exposure_s : float
+    device : DeviceProfile or None
+    seed : int
+    estimate : MotionEstimate
+        From the blurred photo.
+    problem : SearchProblem
+        Along the estimate.
+    advice : Advice
+        For this camera, over the light.
+    contrast : Advice or None
+        For :data:`CONTRAST`, where this camera's exposure is coded.
+    refinement : Refinement or None
+        Of the estimate by the coded photo, where there is one to take.
+    certificates : tuple of (str, Certificate)
+        Smallest MTF of each shot's exposure, along the motion as estimated.
+    reference : float ndarray
+        The scene at rest, as large as the photos.
+    shots : tuple of Shot
+        Open shutter first, then the best single exposure and the best code, where the limits leave them.
+    seconds : tuple of (str, float)
+    """
 
     scene: Scene
     camera: Camera
+    exposure_s: float
+    device: DeviceProfile | None
     seed: int
     estimate: MotionEstimate
-    search: Found
     problem: SearchProblem
-    code: ShutterCode
-    compared: tuple[BaselineRow, ...]
-    direction: DirectionResult
+    advice: Advice
+    contrast: Advice | None
+    refinement: Refinement | None
+    certificates: tuple[tuple[str, Certificate], ...]
     reference: FloatArray
     shots: tuple[Shot, ...]
-    expected_db: tuple[tuple[str, tuple[float, ...]], ...]
     seconds: tuple[tuple[str, float], ...]
 
     @property
-    def metrics(self) -> CodeMetrics:
-        """Figures of the code."""
-        return self.compared[0].metrics
+    def choice(self) -> Choice:
+        """Kind of exposure that is advised."""
+        return self.advice.choice
+
+    @property
+    def coded(self) -> bool:
+        """Whether the shutter is to open more than once."""
+        return self.choice in ("strobe", "code")
+
+    @property
+    def code(self) -> ShutterCode | None:
+        """The code, where one is advised."""
+        return self.advice.here.advised.code if self.coded else None
 
     @property
     def motion(self) -> Trajectory:
-        """The most likely motion, as estimated."""
-        return self.estimate.trajectories[0]
+        """The motion that the photos are restored along."""
+        return self.estimate.best if self.refinement is None else self.refinement.trajectory
+
+    @property
+    def advised_shot(self) -> Shot:
+        """The photo taken as advised."""
+        kind = "coded" if self.coded else self.choice
+        return next(shot for shot in self.shots if shot.kind == kind)
+
+    def shot(self, kind: str) -> Shot | None:
+        """Return the photo of a kind; None where there is none."""
+        return next((shot for shot in self.shots if shot.kind == kind), None)
+
+    def gains_db(self, *, known: bool = False) -> dict[str, float]:
+        """Return the simulated gain of the restored photo of each kind over the open shutter, dB.
+
+        Parameters
+        ----------
+        known : bool
+            Restored along the true motion; empty where that is not known.
+        """
+        figures = {shot.kind: shot.known_psnr_db if known else shot.psnr_db for shot in self.shots}
+        opened = figures["open"]
+        return {kind: psnr - opened for kind, psnr in figures.items() if psnr is not None and opened is not None}
 
 
 def run_chain(
     scene: Scene,
     camera: Camera,
     *,
+    exposure_s: float = EXPOSURE_S,
+    device: DeviceProfile | None = None,
+    chips: int | None = None,
     seed: int = 0,
     estimator: Estimator | None = None,
-    chips: int | None = None,
-    steps: int = _STEPS,
+    levels: Sequence[float] = LEVELS,
     tell: Callable[[float, str], None] = lambda _fraction, _what: None,
 ) -> Chain:
     """Run the chain.
@@ -112,73 +189,115 @@ def run_chain(
     ----------
     scene : Scene
     camera : Camera
-        Takes the simulated photos, and is what the code is designed for.
+    exposure_s : float
+        Length of the exposure.
+    device : DeviceProfile, optional
+        Shutter that must be able to play the code; any other limit there is not.
+    chips : int, optional
+        When omitted one for each px of the path, at most 64; with a device as many as pay.
     seed : int
     estimator : Estimator, optional
         The blind one when omitted.
-    chips : int, optional
-        One for each px of the path when omitted, at most 64.
-    steps : int
-        Moves of the search.
+    levels : sequence of float
+        Photo-electrons at full scale at which the ways to expose are compared, besides the camera's own.
     tell : callable
         Called with the fraction done and what is being done.
 
     Raises
     ------
     ValueError
-        If the photo shows nothing to estimate a motion from.
+        If the photo shows nothing to estimate a motion from, or the exposure cannot be divided so on the device.
     """
     clock = _Clock(tell)
     clock.begin(0.0, "estimating the motion")
-    estimate = estimate_motion(
-        scene.photo,
-        method=estimator or "motdiff",
-        progress=lambda share, what: tell(_BLIND_SHARE * share, what),
-    )
-    motion = estimate.best
+    try:
+        estimate = estimate_motion(
+            scene.photo, method=estimator or "motdiff", progress=lambda share, what: tell(_CALIBRATED * share, what)
+        )
+    except ValueError as error:
+        raise ValueError(f"{scene.name}: {error}") from None
 
-    clock.begin(_BLIND_SHARE, "searching the code")
-    count = chips or int(np.clip(round(motion.length_px), 8, _MOST_CHIPS))
-    check_resolved(motion, count)
-    problem = SearchProblem.along(
-        motion, chips=count, objective="mse", camera=camera, open_range=open_range_of_duty(count, *_DUTY)
+    clock.begin(_CALIBRATED, "comparing exposures")
+    problem = _problem(estimate, camera, exposure_s=exposure_s, device=device, chips=chips, seed=seed)
+    advice = advise(
+        problem, levels=levels, seed=seed,
+        progress=lambda share, what: tell(_CALIBRATED + 0.8 * (_ADVISED - _CALIBRATED) * share, what),
+    )  # fmt: skip
+    contrast = None
+    if advice.choice in ("strobe", "code"):
+        contrast = advise(replace(problem, camera=Camera.load(CONTRAST)), levels=LIGHT_LEVELS, seed=seed)
+    certificates = tuple(
+        (kind, certify(way.code, estimate.best)) for kind, way in _ways(advice).items() if kind != "coded" or contrast
     )
-    found = search(problem, Search(steps=steps, time_s=_SEARCH_S, seed=seed))
-    code = replace(found.code, chip_ns=_CHIP_NS)
-    clock.begin(0.6, "comparing")
-    compared = compare(problem, code, baselines=found.baselines)
 
-    clock.begin(0.62, "exposing the coded photo")
-    open_shutter = ShutterCode("1" * count, _CHIP_NS)
+    clock.begin(_ADVISED, "exposing")
     sharp, truth = _sharp_scene(scene, estimate)
-    frame = max(truth.frame_size(), motion.frame_size(), motion.reversed().frame_size()) | 1
+    frame = truth.frame_size() | 1
     rng = np.random.default_rng([seed, 3])
-    codes = {"open shutter": open_shutter, "coded": code}
-    photos = {name: capture(sharp, coded_psf(truth, one, frame), camera=camera, rng=rng) for name, one in codes.items()}
+    photos = {
+        kind: capture(sharp, coded_psf(truth, way.code, frame), camera=camera, rng=rng)
+        for kind, way in _ways(advice).items()
+    }
+    if scene.sharp is not None:
+        photos["open"] = scene.photo
+    refinement = None
+    if contrast is not None and scene.motion is not None:
+        clock.begin(_ADVISED, "refining the motion by the coded photo")
+        refinement = _refined(
+            [photos["open"], photos["coded"]], [_ways(advice)[kind].code for kind in ("open", "coded")], estimate.best,
+            progress=lambda share, what: tell(_ADVISED + (_REFINED - _ADVISED) * share, what),
+        )  # fmt: skip
 
-    clock.begin(_RESTORED[0], "restoring")
-    direction = detect_direction(photos["coded"], motion, code, size=frame)
+    clock.begin(_REFINED, "restoring")
     reference = visible(sharp, frame)
-    kernels = {"open shutter": motion.psf(frame), "coded": direction.psf}
-    wanted = [(name, codes[name], photos[name], kernels[name]) for name in codes]
-    if scene.motion is not None:  # what a perfect estimate would have given
-        wanted += [
-            (f"{name}, true motion", one, photos[name], coded_psf(truth, one, frame)) for name, one in codes.items()
-        ]
-    shots = []
-    for shot in wanted:
-        shots.append(_shot(*shot, camera, reference))
-        tell(_RESTORED[0] + (_RESTORED[1] - _RESTORED[0]) * len(shots) / len(wanted), "restoring")
-
-    clock.begin(_RESTORED[1], "judging")
-    noise = [light_noise(replace(camera, photons_full_scale=level), count) for level in LIGHT_LEVELS]
-    table = expected_psnr_db(problem, [row.code for row in compared], noise=noise)
-    expected = tuple((row.name, tuple(values)) for row, values in zip(compared, table.tolist(), strict=True))
+    motion = estimate.best if refinement is None else refinement.trajectory
+    known = None if scene.motion is None else replace(scene.motion, direction="known")
+    shots = _shots(_ways(advice), photos, motion, known, camera, reference)
     clock.begin(1.0, "done")
     return Chain(
-        scene, camera, seed, estimate, found, problem, code, compared, direction, reference, tuple(shots),
-        expected, clock.laps,
+        scene, camera, exposure_s, device, seed, estimate, problem, advice, contrast, refinement, certificates,
+        reference, shots, clock.laps,
     )  # fmt: skip
+
+
+def _problem(
+    estimate: MotionEstimate, camera: Camera, *, exposure_s: float, device: DeviceProfile | None, chips: int | None,
+    seed: int,
+) -> SearchProblem:  # fmt: skip
+    def of(count: int) -> SearchProblem:
+        # a clock that most controllers can play; a device has its own
+        chip_us = round(1e6 * exposure_s / count)
+        length = {"exposure_s": exposure_s} if device is not None or chip_us == 0 else {"chip_ns": 1000 * chip_us}
+        return SearchProblem.along(estimate, chips=count, objective="mse", camera=camera, device=device, **length)
+
+    if chips is None:
+        if device is None:
+            chips = int(np.clip(round(estimate.best.length_px), 8, _MOST_CHIPS))
+        else:
+            chips, _ = suited_chips(of, seed=seed)
+    check_resolved(estimate.best, chips)
+    return of(chips)
+
+
+def _ways(advice: Advice) -> dict[str, Way]:
+    """Ways to expose that are photographed: the open shutter, the best single exposure, the best code."""
+    here = advice.here
+    coded = here.advised if advice.choice in ("strobe", "code") else here.best("code")
+    ways = {"open": here.ways[0], "snapshot": here.best("snapshot"), "coded": coded}
+    return {kind: way for kind, way in ways.items() if way is not None}
+
+
+def _refined(
+    photos: Sequence[FloatArray], codes: Sequence[ShutterCode], path: Trajectory, *,
+    progress: Callable[[float, str], None],
+) -> Refinement | None:  # fmt: skip
+    """Refine the path by the most textured part of the photos; None where a photo is too small for that."""
+    row, column = pick_crops(photos[0], size=_REFINED_PX, count=1)[0]
+    parts = [photo[row : row + _REFINED_PX, column : column + _REFINED_PX] for photo in photos]
+    try:
+        return refine_motion(parts, codes, path, progress=progress)
+    except ValueError:
+        return None
 
 
 def _sharp_scene(scene: Scene, estimate: MotionEstimate) -> tuple[FloatArray, Trajectory]:
@@ -192,16 +311,43 @@ def _sharp_scene(scene: Scene, estimate: MotionEstimate) -> tuple[FloatArray, Tr
     top, left = (scene.photo.shape[0] - height) // 2, (scene.photo.shape[1] - width) // 2
     part = scene.photo[top : top + height, left : left + width]
     restored = restore(part, estimate.psf, method="tv").image
-    return np.clip(restored, 0, 1), estimate.trajectories[0]
+    return np.clip(restored, 0, 1), estimate.best
 
 
-def _shot(
-    name: str, code: ShutterCode, photo: FloatArray, kernel: FloatArray, camera: Camera, reference: FloatArray
-) -> Shot:
-    restored = restore(photo, kernel, method=_RESTORATION, camera=camera)
-    crop = min(restored.unreliable_px + 2, min(photo.shape[:2]) // 4)
-    psnr = psnr_up_to_shift(_grey(restored.image), _grey(reference), max_shift_px=3.0, crop_px=crop)
-    return Shot(name, code, photo, restored.image, psnr)
+def _shots(
+    ways: dict[str, Way], photos: dict[str, FloatArray], motion: Trajectory, known: Trajectory | None, camera: Camera,
+    reference: FloatArray,
+) -> tuple[Shot, ...]:  # fmt: skip
+    """Restore every photo in the same way, and judge all of them on the same part of the picture."""
+
+    def restored(kind: str, path: Trajectory) -> Restoration:
+        code = None if kind == "open" else ways[kind].code
+        return restore(photos[kind], trajectory=path, code=code, method=_RESTORATION, camera=camera)
+
+    found = {"open": restored("open", motion)}
+    for kind in list(ways)[1:]:
+        if kind == "snapshot" and motion.direction == "unknown":
+            # either direction restores it as well, but one of them shifted: the other photo shows which
+            turned = [replace(path, direction="known") for path in (motion, motion.reversed())]
+            both = [restored(kind, path) for path in turned]
+            found[kind] = min(both, key=lambda one: float(np.mean((one.image - found["open"].image) ** 2)))
+        else:
+            found[kind] = restored(kind, motion)
+    ideal = {} if known is None else {kind: restored(kind, known) for kind in ways}
+    reach = max(one.unreliable_px for one in (*found.values(), *ideal.values())) + 2
+    crop = min(reach, min(reference.shape[:2]) // 4)
+    scene = _grey(reference)
+
+    def psnr_db(one: Restoration) -> float:
+        return psnr_up_to_shift(_grey(one.image), scene, max_shift_px=3.0, crop_px=crop)
+
+    return tuple(
+        Shot(
+            kind, way, photos[kind], found[kind].image, psnr_db(found[kind]),
+            psnr_db(ideal[kind]) if kind in ideal else None,
+        )
+        for kind, way in ways.items()
+    )  # fmt: skip
 
 
 def _grey(image: FloatArray) -> FloatArray:
@@ -252,17 +398,22 @@ class Scene:
     warnings: tuple[str, ...] = ()
 
 
-def bundled_scene(camera: Camera, *, rng: np.random.Generator) -> Scene:
+def bundled_scene(camera: Camera, *, rng: np.random.Generator, side_px: int | None = None) -> Scene:
     """Take a photo of a public-domain picture that scikit-image carries, with a shaking hand.
 
     Parameters
     ----------
     camera : Camera
     rng : numpy Generator
+    side_px : int, optional
+        Side of the part around the middle of the picture; all of it when omitted.
     """
     from skimage import data
 
     sharp = to_linear(data.astronaut() / 255)
+    if side_px is not None:
+        corner = (len(sharp) - side_px) // 2
+        sharp = sharp[corner : corner + side_px, corner : corner + side_px]
     # a hand accelerates over a short exposure: a bent path that is slower at one end
     motion = quadratic(rng, min_length_px=_LENGTH_PX[0], max_length_px=_LENGTH_PX[1], max_bend=_BEND)
     photo = capture(sharp, motion.psf(motion.frame_size() | 1), camera=camera, rng=rng)

@@ -1,114 +1,238 @@
-"""The whole chain, its files and its report; on a small budget, with the estimator that needs no luck."""
+"""The whole chain, its files and its report, where coding pays and where it does not; on a small scene."""
 
 import json
 import re
+import shlex
+from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+import typer
 
+from cep.cli.main import app
 from cep.io.files import read_code
 from cep.io.images import read_photo
-from cep.optics.camera import LIGHT_LEVELS, Camera
-from cep.report.demo_page import DEMO_PICTURES, demo_report, verdict
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.report.demo_page import DEMO_PICTURES, demo_report, share_below_noise
 from cep.report.result_page import html
 from cep.workflows.demo import DEMO_FILES, write_demo
-from cep.workflows.demo_chain import Scene, bundled_scene, own_photo, run_chain
+from cep.workflows.demo_chain import CONTRAST, STANDARD_CAMERA, bundled_scene, own_photo, run_chain
+from hw.device import load_profile
 from hw.export import EXPORTERS
 from motdiff.estimators.reference import ReferenceEstimator
 from motdiff.io.trajectories import read_motion
+from motdiff.trajectory import Trajectory
 
-CAMERA = Camera()
+LEVELS = (1000.0,)
+CODED, PLAIN = Camera.load(STANDARD_CAMERA), Camera.load(CONTRAST)
+OF_A_CODE = {"code.json", "coded.png", "restored_coded.png", "code_strip.png"}
+
+
+def chain_of(camera, **options):
+    """Run the chain on a small part of the scene, with the estimator that needs no luck."""
+    scene = bundled_scene(camera, rng=np.random.default_rng(0), side_px=288)
+    return run_chain(scene, camera, estimator=ReferenceEstimator(scene.sharp), levels=LEVELS, **options)
 
 
 @pytest.fixture(scope="module")
-def chain():
-    whole = bundled_scene(CAMERA, rng=np.random.default_rng(0))
-    # a part of the scene is enough, and quicker
-    scene = Scene(whole.name, whole.photo[100:356, 100:356], whole.sharp[100:400, 100:400], whole.motion)
-    return run_chain(scene, CAMERA, estimator=ReferenceEstimator(scene.sharp), steps=4000, chips=16)
+def coded():
+    return chain_of(CODED, chips=16)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return chain_of(PLAIN, chips=16)
+
+
+@pytest.fixture(scope="module", params=["coded", "plain"])
+def either(request):
+    return request.getfixturevalue(request.param)
+
+
+class Page(HTMLParser):
+    """Visible text, commands and images of a page."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.text, self.commands, self.images, self.inside = "", "", [], []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        if tag == "img":
+            self.images.append(dict(attrs))
+        if tag in ("code", "script", "style"):
+            self.inside.append(tag)
+
+    def handle_endtag(self, tag):
+        if self.inside and self.inside[-1] == tag:
+            self.inside.pop()
+
+    def handle_data(self, data):
+        if "code" in self.inside:
+            self.commands += data
+        if not {"script", "style"} & set(self.inside):
+            self.text += data
 
 
 def test_the_bundled_scene_repeats_and_moves():
-    first, second = (bundled_scene(CAMERA, rng=np.random.default_rng(3)) for _ in range(2))
+    first, second = (bundled_scene(CODED, rng=np.random.default_rng(3), side_px=200) for _ in range(2))
     np.testing.assert_array_equal(first.photo, second.photo)
     assert 20 < first.motion.length_px < 30
-    assert first.photo.shape[0] < first.sharp.shape[0]
+    assert first.photo.shape[0] < first.sharp.shape[0] == 200
 
 
-def test_the_chain_closes(chain):
-    shots = {shot.name: shot for shot in chain.shots}
-    assert list(shots)[:2] == ["open shutter", "coded"]
-    assert shots["coded"].code == chain.code
-    assert chain.code.chips == 16
-    assert 0.35 <= chain.code.duty <= 0.75
-    # restoring helps: each is better than its own blurred photo at the same scale
-    for shot in chain.shots:
-        blurred = shot.photo.mean(axis=2) / shot.code.duty
-        error = blurred - chain.reference.mean(axis=2)
-        assert shot.psnr_db > -10 * np.log10(np.mean(error[30:-30, 30:-30] ** 2)) + 2
-    # a perfect estimate is never worse by more than the search for the best shift can hide
-    assert shots["coded, true motion"].psnr_db > shots["coded"].psnr_db - 0.3
-    assert chain.seconds[0][0] == "estimating the motion"
+# -- the chain --------------------------------------------------------------------------------------------------------
 
 
-def test_files_and_figures(chain, tmp_path):
-    figures = write_demo(tmp_path / "out", chain)
-    assert {item.name for item in (tmp_path / "out").iterdir()} == set(DEMO_FILES)
-    assert json.loads((tmp_path / "out/demo.json").read_text())["bits"] == chain.code.bits == figures["bits"]
-    assert read_code(tmp_path / "out/code.json").code == chain.code
-    assert read_motion(tmp_path / "out/trajectory.json").trajectory.length_px == pytest.approx(chain.motion.length_px)
-    for name, suffix in (("c", ".h"), ("csv", ".csv"), ("json", ".json")):
-        text = (tmp_path / "out" / f"shutter_code{suffix}").read_text()
-        assert EXPORTERS[name].parse_back(text).bits == chain.code.bits
-    assert read_photo(tmp_path / "out/coded.png").bits == 16
-    for name in DEMO_PICTURES:
-        assert (tmp_path / f"out/{name}.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(ValueError, match="use --force"):
-        write_demo(tmp_path / "out", chain)
-    write_demo(tmp_path / "out", chain, force=True)
+def test_where_coding_pays_the_photos_show_it(coded):
+    assert coded.choice == "code"
+    assert coded.code == coded.advised_shot.way.code
+    assert coded.shots[0].kind == "open"
+    gains = coded.gains_db(known=True)
+    assert gains["coded"] > max(gains["open"], gains.get("snapshot", 0.0))
+    assert coded.contrast.choice == "snapshot"
+    assert coded.contrast.here.camera == PLAIN
 
 
-def test_the_report_says_what_was_measured(chain):
-    report = demo_report(chain)
-    page = html(report)
-    assert page.count("data:image/png;base64,") >= 5
-    for shot in chain.shots:
-        assert f"{shot.psnr_db:.4g}" in page
-    assert chain.code.bits in page
-    assert not re.search(r"\bnan\b|\binf\b", re.sub(r"base64,[^\"]*", "", page))
-    gain = chain.shots[1].psnr_db - chain.shots[0].psnr_db
-    assert ("does not pay" in report.summary) == (gain < -0.1)
+def test_where_it_does_not_the_snapshot_is_better(plain):
+    assert plain.choice == "snapshot"
+    assert (plain.code, plain.contrast, plain.refinement) == (None, None, None)
+    gains = plain.gains_db()
+    assert gains["snapshot"] > max(gains["open"], gains["coded"])
 
 
-def test_the_verdict_names_gains_and_losses():
-    levels = len(LIGHT_LEVELS)
-    table = (("this code", (17.0, 20.0, 25.0, 30.0)), ("open shutter", (18.0, 20.05, 23.0, 25.0)))
-    text = verdict(table)
-    assert "gain at 10,000 (+2.00 dB), 100,000 (+5.00 dB)" in text
-    assert "lose at 100 (-1.00 dB)" in text
-    assert "1,000" not in text.replace("10,000", "").replace("100,000", "")
-    same = (("this code", (20.0,) * levels), ("open shutter", (20.0,) * levels), ("snapshot", (21.0,) * levels))
-    assert "less than 0.1 dB" in verdict(same)
-    assert 'The "snapshot" is expected to do better than this code at 100 (+1.00 dB), 1,000 (+1.00 dB)' in verdict(same)
-    assert "better than this code" not in text
+def test_restoring_helps(either):
+    for shot in either.shots:
+        error = shot.photo.mean(axis=2) / shot.way.code.duty - either.reference.mean(axis=2)
+        assert shot.psnr_db > -10 * np.log10(np.mean(error[30:-30, 30:-30] ** 2))
 
 
-def test_ones_own_photo_has_no_truth(chain):
-    scene = own_photo("mine.jpg", chain.scene.photo, warnings=("The transparency was dropped.",))
+def test_no_code_outside_the_devices_limits():
+    device = load_profile("mechanical-fast")
+    chain = chain_of(PLAIN, chips=16, device=device, exposure_s=0.05)
+    assert chain.problem.limits_runs
+    assert all(chain.problem.allows(shot.way.code) for shot in chain.shots if shot.kind != "open")
+    assert "mechanical-fast" in demo_report(chain).setting
+
+
+def test_ones_own_photo_has_no_truth(coded):
+    scene = own_photo("mine.jpg", coded.scene.photo, warnings=("The transparency was dropped.",))
     told = []
     mine = run_chain(
-        scene, CAMERA, estimator=ReferenceEstimator(chain.scene.sharp), steps=1000, chips=12,
+        scene, CODED, estimator=ReferenceEstimator(coded.scene.sharp), levels=LEVELS, chips=12,
         tell=lambda share, _what: told.append(share),
     )  # fmt: skip
     assert (told[0], told[-1]) == (0, 1)
     assert told == sorted(told)
-    assert [shot.name for shot in mine.shots] == ["open shutter", "coded"]
+    assert mine.gains_db(known=True) == {}
     page = html(demo_report(mine))
     assert "stands in for the scene" in page
     assert "The transparency was dropped." in page
-    assert "true motion" not in page
+    assert "The true motion is known" not in page
 
 
 def test_a_featureless_photo_is_refused():
-    with pytest.raises(ValueError, match="black all over"):
-        run_chain(own_photo("night.jpg", np.zeros((128, 128))), CAMERA)
+    with pytest.raises(ValueError, match=r"night\.jpg: .*black all over"):
+        run_chain(own_photo("night.jpg", np.zeros((128, 128))), CODED)
+
+
+def test_the_band_below_the_noise_grows_with_noise_and_blur():
+    path, still = Trajectory.straight(20.0), Trajectory.straight(1.0)
+    assert share_below_noise(still, None, PLAIN) < share_below_noise(path, None, PLAIN)
+    assert share_below_noise(path, None, PLAIN) < share_below_noise(path, ShutterCode("1111"), CODED)
+
+
+# -- files ------------------------------------------------------------------------------------------------------------
+
+
+def test_files_and_figures(coded, tmp_path):
+    figures = write_demo(tmp_path / "out", coded)
+    written = {item.name for item in (tmp_path / "out").iterdir()}
+    assert written == set(DEMO_FILES) - {"shutter_code.pulsepal.toml"}  # its ticks are 50 us
+    stored = json.loads((tmp_path / "out/demo.json").read_text())
+    assert stored["bits"] == coded.code.bits == figures["bits"]
+    assert (stored["verdict"], stored["choice"]) == (coded.advice.here.sentence, "code")
+    assert stored["gains_db"] == coded.advice.gains_db
+    assert set(stored["psnr_db"]) == {"open", "snapshot", "coded"}
+    assert read_code(tmp_path / "out/code.json").code == coded.code
+    assert read_motion(tmp_path / "out/trajectory.json").trajectory.length_px == pytest.approx(
+        coded.estimate.best.length_px
+    )
+    for name, suffix in (("c", ".h"), ("csv", ".csv"), ("json", ".json")):
+        text = (tmp_path / "out" / f"shutter_code{suffix}").read_text()
+        assert EXPORTERS[name].parse_back(text).bits == coded.code.bits
+    assert read_photo(tmp_path / "out/coded.png").bits == 16
+    for name in DEMO_PICTURES:
+        assert (tmp_path / f"out/{name}.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ValueError, match="use --force"):
+        write_demo(tmp_path / "out", coded)
+    write_demo(tmp_path / "out", coded, force=True)
+
+
+def test_no_code_is_written_where_none_is_advised(coded, plain, tmp_path):
+    write_demo(tmp_path, coded)
+    figures = write_demo(tmp_path, plain, force=True)  # the code of the first run goes
+    names = {item.name for item in tmp_path.iterdir()}
+    assert not OF_A_CODE & names
+    assert not any(name.startswith("shutter_code") for name in names)
+    assert figures["bits"] is None
+    assert figures["choice"] == "snapshot"
+    assert figures["psnr_db"]["coded"] == plain.shot("coded").psnr_db
+
+
+# -- the page ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_recommends_no_code_where_none_is_advised(plain):
+    report = demo_report(plain)
+    page = Page(html(report))
+    assert report.summary == plain.advice.here.sentence
+    assert report.summary.startswith("Coding does not pay here")
+    assert plain.shot("coded").way.code.bits not in page.text
+    assert not re.search(r"cep (optimize|upload|export|refine)|Code this exposure|Pulse the shutter", page.text)
+    assert "best code (not advised)" in page.text
+
+
+def test_the_page_leads_with_the_verdict(coded):
+    report = demo_report(coded)
+    page = Page(html(report))
+    assert report.summary == coded.advice.here.sentence
+    assert coded.code.bits in page.text
+    assert coded.contrast.sentence in page.text
+    assert page.text.index(report.setting) < page.text.index(report.summary) < page.text.index("Gain over the light")
+
+
+def test_figures_on_the_page_are_those_of_the_files(either, tmp_path):
+    figures = write_demo(tmp_path, either)
+    text = Page((tmp_path / "report.html").read_text(encoding="utf-8")).text.replace("−", "-")
+    assert figures["verdict"] in text
+    for psnr_db in figures["psnr_db"].values():
+        assert psnr_db is None or f"{psnr_db:.2f}" in text
+    advised = "coded" if figures["choice"] in ("code", "strobe") else figures["choice"]
+    for kind, psnr_db in figures["psnr_db"].items():
+        if psnr_db is not None and kind != advised:
+            assert f"{figures['psnr_db'][advised] - psnr_db:+.1f} dB" in text
+    for kind, gain in figures["gains_db"].items():
+        if kind != "code" or gain != figures["gains_db"].get("strobe"):
+            assert f"{gain:+.2f}" in text
+    assert not re.search(r"\bnan\b|\binf\b", text)
+
+
+def test_the_page_is_one_file_and_described(either):
+    page = html(demo_report(either))
+    images = Page(page).images
+    assert len(images) >= 8
+    assert all(image["alt"] and image["src"].startswith("data:image/png;base64,") for image in images)
+    assert not re.search(r"""(?:src|href|srcset|action)="(?!data:image/png;|\#)|url\(|@import|https?:""", page)
+
+
+def test_the_commands_on_the_page_take_their_options(either):
+    commands = typer.main.get_command(app).commands
+    lines = Page(html(demo_report(either, options="--camera video-8bit --photons 100"))).commands.strip().splitlines()
+    assert len(lines) >= 3
+    for line in lines:
+        program, name, *arguments = shlex.split(line)
+        assert program == "cep"
+        known = {option for parameter in commands[name].params for option in parameter.opts}
+        assert {part for part in arguments if part.startswith("-")} <= known
