@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from cep.bench.table_io import TABLES_SCHEMA
-from cep.io.files import CODE_SCHEMA, FRONT_SCHEMA, PSF_SUFFIXES
+from cep.io.files import CODE_SCHEMA, DEMO_SCHEMA, FRONT_SCHEMA, PSF_SUFFIXES
 from cep.io.images import PICTURE_SUFFIXES
 from cep.workflows.calibrate import CALIBRATION_FILES
 from motdiff.io.trajectories import SCHEMA as MOTION_SCHEMA
@@ -27,7 +27,7 @@ def is_own_output(path: Path) -> bool:
 
     These are figures of benchmarks and fronts, beside their JSON; PSFs, beside the same in the other formats; photos
     that ``cep simulate`` has blurred, beside their PSFs; and the pictures of ``cep calibrate`` and ``cep demo``, by
-    their names in a folder with the motion, its PSF and, of the demo, its code. Files of ``cep mtf`` and
+    their names in a folder with the motion, its PSF and, of the demo, its figures. Files of ``cep mtf`` and
     ``cep deblur`` have no record beside them and are not detected.
 
     Parameters
@@ -66,11 +66,11 @@ def _is_of_calibration(path: Path) -> bool:
 
 def _is_of_demo(path: Path) -> bool:
     folder = path.parent
-    if not (folder / "demo.json").is_file():
+    if not _is_ours(folder / "demo.json", DEMO_SCHEMA):
         return False
     from cep.workflows.demo import DEMO_FILES
 
-    return path.name in DEMO_FILES and _has_motion(folder) and _is_ours(folder / "code.json", CODE_SCHEMA)
+    return path.name in DEMO_FILES and _has_motion(folder)
 
 
 def _has_motion(folder: Path) -> bool:

@@ -25,6 +25,7 @@ from motdiff.io.mat_files import levin_psf, read_mat
 
 __all__ = [
     "CODE_SCHEMA",
+    "DEMO_SCHEMA",
     "FRONT_SCHEMA",
     "PSF_SUFFIXES",
     "StoredCode",
@@ -38,6 +39,7 @@ __all__ = [
 ]
 
 CODE_SCHEMA = "cep.code/1"
+DEMO_SCHEMA = "cep.demo/1"
 FRONT_SCHEMA = "cep.front/1"
 PSF_SUFFIXES = (".npy", ".mat", ".png")
 _MAT_TEXT, _MAT_TEXT_BYTES = b"MATLAB 5.0 MAT-file, written by coded-exposure", 116  # "MAT-File Format", MathWorks

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from cep.io.files import StoredCode, json_text, write_code
+from cep.io.files import DEMO_SCHEMA, StoredCode, json_text, write_code
 from cep.io.images import write_image
 from cep.io.outputs import new_folder, write_text
 from cep.report.demo_page import DEMO_PICTURES, demo_report
@@ -51,7 +51,7 @@ def write_demo(folder: Path | str, chain: Chain, *, options: str = "", force: bo
         If a file exists and ``force`` is not given, or the folder cannot be written to.
     """
     target = Path(folder)
-    figures = {"report": str(target / "report.html"), **_figures(chain)}
+    figures = {"schema": DEMO_SCHEMA, "report": str(target / "report.html"), **_figures(chain)}
     with new_folder(target, DEMO_FILES, force=force) as made:
         source = {"image": chain.scene.name, "seed": chain.seed}
         write_calibration(made, chain.estimate, chain.scene.photo, source=source)

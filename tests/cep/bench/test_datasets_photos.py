@@ -6,7 +6,7 @@ from scipy.io import savemat
 
 from cep.bench.datasets import bundled_photos, crop, layout_of, photo_folder, pick
 from cep.bench.table_io import made_json
-from cep.io.files import FRONT_SCHEMA, StoredCode, write_code, write_psf
+from cep.io.files import DEMO_SCHEMA, FRONT_SCHEMA, StoredCode, write_code, write_psf
 from cep.io.images import read_image, write_image
 from cep.optics.code import ShutterCode
 from cep.workflows.demo import DEMO_FILES
@@ -92,12 +92,12 @@ def test_pictures_of_the_demo_are_no_photos(tmp_path):
     own = photo(tmp_path / "demo" / "a.png")
     calibrated(tmp_path / "demo")
     write_code(tmp_path / "demo" / "code.json", StoredCode(ShutterCode("1101", 250_000)))
-    (tmp_path / "demo" / "demo.json").write_text("{}")
+    (tmp_path / "demo" / "demo.json").write_text(f'{{"schema": "{DEMO_SCHEMA}"}}')
     assert photo_folder(tmp_path) == (own,)
-    (tmp_path / "demo" / "code.json").write_text('{"schema": "annotations/1"}')
+    (tmp_path / "demo" / "demo.json").write_text('{"schema": "annotations/1"}')
     assert {path.name for path in photo_folder(tmp_path)} == {
-        "a.png", "blurred.png", "coded.png", "restored_open.png", "restored_coded.png", "code_strip.png", "mtf.png",
-        "photos.png", "restored.png",
+        "a.png", "advice.png", "blurred.png", "coded.png", "restored_open.png", "restored_snapshot.png",
+        "restored_coded.png", "scene_at_rest.png", "code_strip.png", "mtf.png", "photos.png",
     }  # fmt: skip
 
 

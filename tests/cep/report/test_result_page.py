@@ -1,6 +1,7 @@
 """The report is one file: everything inside, nothing fetched, every text escaped."""
 
 import base64
+import hashlib
 import re
 from html.parser import HTMLParser
 
@@ -44,7 +45,7 @@ def report():
     )
     sections = (
         Section("Motion", ("It moved.",), (table,), (Picture(PNG, "A path", "a line"),), ("Direction unknown.",)),
-        Section("Code"),
+        Section("Code", commands=("cep advise --linear 9", "cep code < a > b")),
         Section("<script>alert(1)</script>", ("a & b < c",)),
     )
     return Report("Title", "Summary", (("length", "12 px"),), sections, "seed 1")
@@ -66,6 +67,34 @@ def test_nothing_is_fetched_and_nothing_runs(report):
     assert all(value.startswith(("data:image/png;base64,", "#")) for value in addresses)
     assert not re.search(r"url\(|@import|https?:", page)
     assert not any(name.startswith("on") for _, name, _ in reader.attributes)
+
+
+def gallery():
+    titles = ("Blurred", "Restored", "At rest")
+    pictures = tuple(Picture(PNG, "A photo", f"photo {title}", title=title) for title in titles)
+    return Report("Title", "Summary", sections=(Section("Photos", gallery=pictures, compared=(0, 1)),))
+
+
+def test_the_only_script_is_the_one_that_the_policy_names():
+    page = html(gallery())
+    reader = read(page)
+    assert reader.tags.count("script") == 1
+    script = re.search(r"<script>(.*?)</script>", page, re.DOTALL)[1]
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in page
+    assert "default-src 'none'" in page
+    assert not re.search(r"fetch|XMLHttpRequest|innerHTML|eval|https?:", script)
+
+
+def test_without_a_script_the_gallery_still_shows_every_picture():
+    page = html(gallery())
+    images = [value for tag, name, value in read(page).attributes if (tag, name) == ("img", "alt")]
+    assert images == ["photo Blurred", "photo Restored", "photo At rest"]
+    assert re.search(r'<div class="compare"[^>]* hidden>', page)
+
+
+def test_commands_are_text(report):
+    assert "cep code < a > b" in read(html(report)).text
 
 
 def test_texts_are_escaped(report):
