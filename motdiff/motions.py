@@ -20,6 +20,7 @@ __all__ = [
 
 DEBLURGAN_EXPL = (0.01, 0.009, 0.008, 0.007, 0.005, 0.003)
 _WINDOW_TRIES = 200
+_ERROR_KNOTS = 101
 
 
 def boracchi_foi(
@@ -189,7 +190,7 @@ def random_gyro_motion(
 
 
 def with_smooth_error(
-    trajectory: Trajectory, error_px: float, *, rng: np.random.Generator, smooth_over: float = 0.12, samples: int = 101
+    trajectory: Trajectory, error_px: float, *, rng: np.random.Generator, smooth_over: float = 0.12, sign: float = 1.0
 ) -> Trajectory:
     """Draw a path near another one, as an estimate is near the truth: a Gaussian process is added.
 
@@ -201,8 +202,8 @@ def with_smooth_error(
     rng : numpy.random.Generator
     smooth_over : float
         Share of the exposure over which the error changes.
-    samples : int
-        Points on the drawn path, evenly spaced in time.
+    sign : float
+        Factor of the error: -1 gives the opposite draw.
 
     Raises
     ------
@@ -212,9 +213,11 @@ def with_smooth_error(
     if not (math.isfinite(error_px) and error_px >= 0):
         raise ValueError(f"error_px: must be 0 px or more, got {error_px}")
     _positive("smooth_over", smooth_over)
-    t = np.linspace(0, 1, samples)
-    alike = np.exp(-0.5 * ((t[:, None] - t) / smooth_over) ** 2)
-    error = np.linalg.cholesky(alike + 1e-8 * np.eye(t.size)) @ rng.standard_normal((t.size, 2)) * error_px / 2**0.5
+    knots = np.linspace(0, 1, _ERROR_KNOTS)
+    alike = np.exp(-0.5 * ((knots[:, None] - knots) / smooth_over) ** 2)
+    drawn = np.linalg.cholesky(alike + 1e-8 * np.eye(knots.size)) @ rng.standard_normal((knots.size, 2))
+    t = np.union1d(trajectory.t, knots)
+    error = np.stack([np.interp(t, knots, axis) for axis in drawn.T], axis=1) * (sign * error_px / 2**0.5)
     return Trajectory.from_samples(trajectory.at(t) + error, t=t, direction=trajectory.direction)
 
 

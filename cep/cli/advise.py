@@ -24,11 +24,11 @@ from cep.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from rich.console import Console
 
-    from cep.workflows.advise import Advice, Choice
+    from cep.workflows.advise import Advice, Choice, Way
 
 __all__ = ["advise"]
 
@@ -78,7 +78,8 @@ def advise(
 
     - choice: open, snapshot (one shorter exposure), strobe (even pulses) or code, at the camera's light.
     - gains_db: of the best of each kind over the open shutter; of code: even pulses included.
-    - equal_light_gains_db: the same where a brighter lamp makes up for the closed time.
+    - equal_light_gains_db: the same where a brighter lamp makes up for the closed time, of the best of each kind there.
+    - codes: those of --code.
     - crossover: ranges of light, photo-electrons at full scale, in which a code gains 0.1 dB or more; null at an end
       that lies beyond the levels tried.
     - outside_limits: a better way that the shutter's limits rule out, or null.
@@ -93,8 +94,8 @@ def advise(
         from cep.plots import check_figure_name, save
         from cep.plots.advice import advice_figure
         from cep.search.problem import SearchProblem
+        from cep.workflows.advise import ASSUMED_EXPOSURE_S, suited_chips
         from cep.workflows.advise import advise as compare_ways
-        from cep.workflows.advise import suited_chips
         from hw.device import load_profile
         from motdiff.io.trajectories import stated_uncertainty_px
 
@@ -108,6 +109,7 @@ def advise(
         count = own[0].chips if own else chips
         profile = None if device is None else load_profile(device)
         seen_by, exposure_s = load_camera(camera, photons=photons, read_noise=read_noise), exposure_seconds(exposure)
+        exposure_s = ASSUMED_EXPOSURE_S if exposure_s is None else exposure_s
 
         def problem_of(count: int) -> SearchProblem:
             return SearchProblem.along(
@@ -124,24 +126,36 @@ def advise(
             problem = problem_of(count)
         advice = compare_ways(problem, *own, path_error_px=error_px, seed=seed, progress=part(tick, 0.4, 1.0))
         save(advice_figure(advice), output)
-    result = {**advice.to_dict(), "other_chips_db": gains, "plot": output, "seed": seed}
-    finish(result, as_json=as_json, show=lambda console: _show(console, advice, gains, output))
+    judged = [way for one in own for way in advice.here.ways if way.code.bits == one.bits]
+    warnings = [] if exposure is not None else ["the exposure is taken as 50 ms; --exposure says how long it is"]
+    result = {
+        **advice.to_dict(), "codes": [way.to_dict() for way in judged], "other_chips_db": gains, "plot": output,
+        "seed": seed, "warnings": warnings,
+    }  # fmt: skip
+    finish(result, as_json=as_json, show=lambda console: _show(console, advice, judged, gains, output))
 
 
-def _show(console: Console, advice: Advice, other_chips_db: Mapping[int, float], plot: Path) -> None:
+def _show(
+    console: Console, advice: Advice, own: Sequence[Way], other_chips_db: Mapping[int, float], plot: Path
+) -> None:
     from cep.io.formatting import duration
     from cep.workflows.advise import in_words_of_chips
 
     here, problem = advice.here, advice.problem
     console.print(here.sentence)
     console.print(advice.where)
-    gains, at_equal_light = here.gains_db, here.equal_light_gains_db
-    rows = []
-    for kind in (kind for kind in _KINDS if kind in gains):
-        way = here.best(kind)
-        assert way is not None  # each gain is of one
-        if way.kind == kind:  # the best code may be the even pulses above
-            rows.append((way.label, way.code.open_chips, f"{gains[kind]:+.2f}", f"{at_equal_light[kind]:+.2f}"))
+    best = {way.label: way for kind in _KINDS if (way := here.best(kind)) is not None}
+    shown = {**best, **{f"your {way.label}, {way.code.bits}": way for way in own}}
+    opened = here.ways[0]
+    rows = [
+        (
+            name,
+            way.code.open_chips,
+            f"{way.psnr_db - opened.psnr_db:+.2f}",
+            f"{way.equal_light_db - opened.equal_light_db:+.2f}",
+        )
+        for name, way in {opened.label: opened, **shown}.items()
+    ]
     columns = ("", f"open, of {problem.chips}", "gain, dB", "at equal light, dB")
     console.print(table("over the open shutter, worse direction where unknown", columns, rows))
     levels = [

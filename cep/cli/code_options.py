@@ -28,9 +28,9 @@ def _limit(name: str, help: str) -> Any:
     return _option(_LIMITS, name, "N", help, min=1)
 
 
-def chips_option(*, least: int) -> Any:
+def chips_option(*, least: int, help: str = "Number of chips.") -> Any:
     """Make the option ``--chips`` of a command."""
-    return typer.Option("--chips", "-n", metavar="N", min=least, help="Number of chips.", rich_help_panel=_CODE)
+    return typer.Option("--chips", "-n", metavar="N", min=least, help=help, rich_help_panel=_CODE)
 
 
 def exposure_seconds(text: str | None) -> float | None:

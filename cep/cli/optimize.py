@@ -95,7 +95,12 @@ def optimize(
     motion_class: ClassName = None,
     length: PathLength = None,
     motions: ClassSize = None,
-    chips: Annotated[int | None, chips_option(least=1)] = None,
+    chips: Annotated[
+        int | None,
+        chips_option(
+            least=1, help="Number of chips; when omitted as many as pay for one code searched by mse, 52 otherwise."
+        ),
+    ] = None,
     open_chips: OpenChips = None,
     duty: Duty = None,
     exposure: Exposure = None,
@@ -173,7 +178,9 @@ def optimize(
     - noise_gain_db: null above 100 dB, as of codes with a zero.
     - stopped: steps (all moves made), time, proven, complete (no other code keeps the limits), or interrupted (Ctrl-C).
     - within_limits, of each of baselines: whether it keeps the limits; the search could not return the others.
-    - verdict, with --all and --class: what to do and what it gains, in one or two sentences.
+    - verdict: what to do and what it gains, in one or two sentences. choice: open, snapshot (one shorter exposure),
+      strobe (even pulses) or code. gains_db: expected gain of the best of each over the open shutter; of code this one.
+    - other_chips_db, where --chips is omitted: what other numbers of chips would gain over the one chosen.
     - motions, mean_db, other_motions, others_db, with --all and --class: the mean of the objective's decibels over the
       motions of the search, and over motions drawn anew, null for a folder; behind_db and behind_error_db, of each of
       baselines: how much worse it is there, and the standard error.
@@ -202,10 +209,11 @@ def optimize(
         from cep.search.exhaustive.exact import codes_to_count
         from cep.search.limits import RunLimits
         from cep.search.playable import chip_time_ns
-        from cep.workflows.advise import suited_chips
+        from cep.workflows.advise import ASSUMED_EXPOSURE_S, suited_chips
         from cep.workflows.optimize import Search, searched_problem, stored_search
         from cep.workflows.optimize import optimize as find
         from hw.device import load_profile
+        from motdiff.io.trajectories import stated_uncertainty_px
 
         how = Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)  # type: ignore[arg-type]
         exposure_s = exposure_seconds(exposure)
@@ -213,11 +221,11 @@ def optimize(
             raise ValueError("--exposure and --chip-ns: give one of them")
         profile = None if device is None else load_profile(device)
 
-        def wish_of(count: int) -> SearchOptions:
-            """Return the options for so many chips."""
+        def wish_of(count: int, time_s: float | None = exposure_s) -> SearchOptions:
+            """Return the options for so many chips in a time."""
             return SearchOptions(
                 chips=count,
-                chip_ns=chip_ns or (_CHIP_NS if exposure_s is None else chip_time_ns(exposure_s, count, profile)),
+                chip_ns=chip_ns or (_CHIP_NS if time_s is None else chip_time_ns(time_s, count, profile)),
                 open_chips=open_chips, duty=duty, objective=objective, direction=direction,
                 runs=RunLimits(
                     min_open=min_open, max_open=max_open, min_closed=min_closed, min_period=min_period,
@@ -297,13 +305,15 @@ def optimize(
             else:
                 outputs = ([run.output], [] if trajectory is None else [trajectory])
                 others: Mapping[int, float] = {}
+                error_px = 0.0 if trajectory is None else stated_uncertainty_px(stored, trajectory) or 0.0
                 if chips is None and fixed is None and method == "anneal" and objective in (None, "mse"):
                     claim(outputs[0], force=force, inputs=outputs[1])
+                    time_of_all_s = ASSUMED_EXPOSURE_S if exposure_s is None else exposure_s
                     count, others = suited_chips(
-                        lambda count: task(stored, trajectory, wish_of(count)).problem, seed=seed,
-                        progress=part(tick, 0.0, _CHOOSING),
+                        lambda count: task(stored, trajectory, wish_of(count, time_of_all_s)).problem,
+                        path_error_px=error_px, seed=seed, progress=part(tick, 0.0, _CHOOSING),
                     )  # fmt: skip
-                    wish = wish_of(count)
+                    wish = wish_of(count, time_of_all_s)
                 wanted = task(stored, trajectory, wish)
                 claim(outputs[0], force=force, inputs=outputs[1])
 
@@ -314,7 +324,7 @@ def optimize(
 
                 tick(0.0, f"{codes_to_count(searched_problem(wanted.problem)):.2g} codes" if method == "exact" else "")
                 best = find(
-                    wanted.problem, **asdict(how), along=wanted.along, figures=own,
+                    wanted.problem, **asdict(how), along=wanted.along, path_error_px=error_px, figures=own,
                     progress=part(tick, _CHOOSING if others else 0.0, 1.0), on_found=keep,
                 )  # fmt: skip
                 best.save(run.output, described=wanted.described)

@@ -21,7 +21,7 @@ __all__ = ["equal_light_noise", "expected_psnr_db", "light_noise"]
 
 FloatArray = NDArray[np.float64]
 _OVERSAMPLING = 16
-_DRAWS = 24  # of a path's error
+_PAIRS = 16  # of opposite draws of a path's error
 _INTERVALS = 128  # a side
 
 
@@ -33,14 +33,10 @@ def light_noise(camera: Camera, chips: int) -> FloatArray:
 def equal_light_noise(camera: Camera, chips: int) -> FloatArray:
     """Variance of the noise by number of open chips, (n + 1,), where a brighter lamp makes up for the closed ones.
 
-    A pixel collects as many photo-electrons through every code; fixed noise weighs less against them the shorter the
-    code is open, as full scale is what an open shutter would collect of that lamp.
+    A pixel collects as many photo-electrons through every code as with the shutter open, and has the same noise. It is
+    given relative to what the lamp would give an open shutter, as the OTF is.
     """
-    noise = [noise_variance(camera, 1.0)]  # of no open chip there is no photo
-    for k in range(1, chips + 1):
-        lamp = replace(camera, photons_full_scale=camera.photons_full_scale * chips / k)
-        noise.append(noise_variance(lamp, k / chips))
-    return np.array(noise)
+    return noise_variance(camera, 1.0) * (np.arange(chips + 1) / chips) ** 2
 
 
 def expected_psnr_db(
@@ -89,7 +85,7 @@ def expected_psnr_db(
     for index, scenario in enumerate(problem.scenarios):
         for turned in problem.directions(scenario):
             path = scenario.path(reversed_path=turned)
-            near = [path] if path_error_px == 0 else list(_near(path, path_error_px, problem.chips, rng))
+            near = [path] if path_error_px == 0 else list(_near(path, path_error_px, rng))
             error = _error(problem, replace(scenario, trajectory=path), near, chips, variances)
             errors_db[index] = np.maximum(errors_db[index], 10 * np.log10(error))
     if problem.rule == "mean":
@@ -103,7 +99,7 @@ def _error(
 ) -> FloatArray:
     """Mean square error (R, L) of codes (R, n) along a path that is one of those near it, as far as is known."""
     path = scenario.trajectory
-    samples = _samples(path) if len(near) == 1 else _samples(max(near, key=lambda one: one.extent_px))
+    samples = _samples(path, exact=len(near) == 1)
     mean, power = np.zeros((len(chips), samples.fx.size), dtype=complex), np.zeros((len(chips), samples.fx.size))
     for one in near:
         otf = _otf(problem, replace(scenario, trajectory=one), chips, samples)
@@ -113,7 +109,8 @@ def _error(
             otf *= np.exp(2j * np.pi * (np.outer(shift[:, 0], samples.fx) + np.outer(shift[:, 1], samples.fy)))
         mean += otf / len(near)
         power += np.abs(otf) ** 2 / len(near)
-    scatter = np.maximum(power - np.abs(mean) ** 2, 0.0)
+    unbiased = len(near) / max(len(near) - 1, 1)
+    scatter = np.maximum(power - np.abs(mean) ** 2, 0.0) * unbiased
     inverse = inverse_scene(samples)  # 1 / S
     errors = []
     for variance in variances.T:
@@ -126,16 +123,22 @@ def _error(
     return np.stack(errors, axis=1)
 
 
-def _samples(path: Trajectory) -> BandSamples:
-    """Return samples finer than those of a search, which may have found a code with its valleys between them."""
-    if straight_axis(path) is not None:
+def _samples(path: Trajectory, *, exact: bool) -> BandSamples:
+    """Return samples finer than those of a search, which may have found a code with its valleys between them.
+
+    An error of a curved path fills such valleys; one of a straight path bends it.
+    """
+    straight = straight_axis(path) is not None
+    if straight == exact:
         return band_samples(path, oversampling=_OVERSAMPLING)
     return grid_samples(max(_INTERVALS, 2 * int(np.ceil(path.extent_px))))
 
 
-def _near(path: Trajectory, error_px: float, chips: int, rng: np.random.Generator) -> Iterator[Trajectory]:
-    for _ in range(_DRAWS):
-        yield with_smooth_error(path, error_px, rng=rng, samples=max(101, chips + 1))
+def _near(path: Trajectory, error_px: float, rng: np.random.Generator) -> Iterator[Trajectory]:
+    for _ in range(_PAIRS):
+        seed = int(rng.integers(2**32))
+        for sign in (1.0, -1.0):
+            yield with_smooth_error(path, error_px, rng=np.random.default_rng(seed), sign=sign)
 
 
 def _at_chips(path: Trajectory, chips: int) -> FloatArray:

@@ -60,8 +60,19 @@ def within_device(
     return Playable(runs.tightened(limits), (low, min(high, most)), response_of_device(profile, chip_ns))
 
 
-def within_camera(camera: Camera, *, chip_ns: int, runs: RunLimits) -> RunLimits:
-    """Tighten limits by the shortest exposure of a camera whose own shutter plays the code."""
+def within_camera(camera: Camera, *, chips: int, chip_ns: int, runs: RunLimits) -> RunLimits:
+    """Tighten limits by the shortest exposure of a camera whose own shutter plays the code.
+
+    Raises
+    ------
+    ValueError
+        If that is longer than the whole code.
+    """
+    if camera.least_exposure_s * 1e9 > chips * chip_ns:
+        raise ValueError(
+            f"exposure: the camera exposes for at least {camera.least_exposure_s * 1e3:g} ms, a code of {chips} chips "
+            f"lasts {chips * chip_ns / 1e6:g} ms"
+        )
     return runs.tightened(RunLimits(min_open=max(1, math.ceil(camera.least_exposure_s * 1e9 / chip_ns - 1e-9))))
 
 

@@ -162,7 +162,7 @@ class SearchProblem:
             options["chip_ns"] = chip_time_ns(exposure_s, chips, profile)
         if profile is None:
             camera, chip_ns = options.get("camera", Camera()), options.get("chip_ns", cls.chip_ns)
-            options["runs"] = within_camera(camera, chip_ns=chip_ns, runs=options.get("runs", RunLimits()))
+            options["runs"] = within_camera(camera, chips=chips, chip_ns=chip_ns, runs=options.get("runs", RunLimits()))
         else:
             played = within_device(
                 profile,
@@ -178,8 +178,9 @@ class SearchProblem:
 
     def with_dark_noise(self) -> SearchProblem:
         """Return the problem with the noise of the exposure's dark current in its camera's read noise."""
-        exposure_s = self.chips * self.chip_ns * 1e-9
-        return replace(self, camera=self.camera.at(self.camera.photons_full_scale, exposure_s=exposure_s))
+        dark_e2 = self.camera.dark_current_e_s * self.chips * self.chip_ns * 1e-9
+        noise_e = float(np.hypot(self.camera.read_noise_e, np.sqrt(dark_e2)))
+        return replace(self, camera=replace(self.camera, read_noise_e=noise_e, dark_current_e_s=0.0))
 
     @property
     def on_circle(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
@@ -21,6 +22,7 @@ from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
 __all__ = [
+    "ASSUMED_EXPOSURE_S",
     "COUNTS",
     "LEVELS",
     "WORTH_DB",
@@ -45,13 +47,17 @@ LEVELS = (100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
 WORTH_DB = 0.1
 """Gain below which the simpler way to expose is advised."""
 
+ASSUMED_EXPOSURE_S = 0.05
+"""Exposure where none is given and the number of chips is chosen: it must be the same for all."""
+
 COUNTS = (8, 16, 32, 52, 104)
 """Numbers of chips that are tried where none is given."""
 
 _LEAST_LEVEL, _MOST_LEVEL = 1.0, 1e7
 _COARSE = 8  # samples per 1 / extent while snapshots, strobes and codes are searched
 _MOVES = 100_000  # of a search at one light level; four times as many gain less than 0.05 dB
-_SEARCH_S = 20.0  # of one search, at most
+_MOST_RUNS = 1_000  # single exposures that are all judged with an error of the path
+_LENGTHS, _STARTS = 24, 16  # else so many lengths and starts
 _PLAIN: tuple[Choice, ...] = ("open", "snapshot")
 _CODED: tuple[Choice, ...] = ("strobe", "code")
 _SIMPLEST = (*_PLAIN, *_CODED)
@@ -91,6 +97,7 @@ class Way:
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON."""
         return {
+            "kind": self.kind,
             "bits": self.code.bits,
             "open": self.code.open_chips,
             "psnr_db": self.psnr_db,
@@ -107,29 +114,26 @@ class Verdict:
     ----------
     camera : Camera
     ways : tuple of Way
-        The open shutter first, then every other that was tried.
+        The open shutter first, then every other that was tried; at least one within the limits.
+    code_name : str
+        What the sentence calls the best code.
     """
 
     camera: Camera
     ways: tuple[Way, ...]
+    code_name: str = "the best code found"
 
-    def best(self, kind: Choice, *, within_limits: bool = True) -> Way | None:
-        """Return the best way of a kind, of those within the limits unless asked for all; None where there is none.
-
-        Even pulses are a code as well.
-        """
+    def best(self, kind: Choice, *, equal_light: bool = False) -> Way | None:
+        """Return the best way of a kind within the limits, None where there is none; even pulses are a code as well."""
         kinds = _CODED if kind == "code" else (kind,)
-        found = [way for way in self.ways if way.kind in kinds and (way.within_limits or not within_limits)]
-        return max(found, key=lambda way: way.psnr_db, default=None)
+        found = [way for way in self.ways if way.kind in kinds and way.within_limits]
+        figure = attrgetter("equal_light_db" if equal_light else "psnr_db")
+        return max(found, key=figure, default=None)
 
     @property
     def advised(self) -> Way:
         """The way to take: the simplest within the limits that none of the others beats by :data:`WORTH_DB`."""
-        kept = [way for kind in _SIMPLEST if (way := self.best(kind)) is not None]
-        highest = max(way.psnr_db for way in kept)
-        near = [way for way in kept if way.psnr_db > highest - WORTH_DB]
-        # nothing is advised while a simpler way is better, however little
-        return next(way for way in near if all(way.psnr_db >= simpler.psnr_db for simpler in near[: near.index(way)]))
+        return _simplest([way for way in self.ways if way.within_limits])
 
     @property
     def choice(self) -> Choice:
@@ -138,59 +142,54 @@ class Verdict:
 
     @property
     def outside(self) -> Way | None:
-        """A way outside the limits that is better than the one to take by :data:`WORTH_DB`, the best; else None."""
-        others = [way for way in self.ways if not way.within_limits and way.kind != "open"]
-        best = max(others, key=lambda way: way.psnr_db, default=None)
-        return best if best is not None and best.psnr_db > self.advised.psnr_db + WORTH_DB else None
+        """The way to take without the limits, where it is better by :data:`WORTH_DB`; else None."""
+        best = _simplest(self.ways)
+        return best if best.psnr_db > self.advised.psnr_db + WORTH_DB else None
 
     @property
     def gains_db(self) -> dict[str, float]:
         """Expected gain of the best way of each kind over the open shutter, dB, within the limits."""
-        return self._gains("psnr_db")
+        best = {kind: self.best(kind) for kind in _SIMPLEST}
+        return {kind: way.psnr_db - self.ways[0].psnr_db for kind, way in best.items() if way is not None}
 
     @property
     def equal_light_gains_db(self) -> dict[str, float]:
-        """The same where a brighter lamp makes up for the closed chips."""
-        return self._gains("equal_light_db")
+        """The same where a brighter lamp makes up for the closed chips; the best ways may be others there."""
+        best = {kind: self.best(kind, equal_light=True) for kind in _SIMPLEST}
+        return {kind: way.equal_light_db - self.ways[0].equal_light_db for kind, way in best.items() if way is not None}
 
     @property
     def code_gain_db(self) -> float | None:
         """Gain of the best code over the better of open shutter and best snapshot, within the limits.
 
-        None where the limits leave only one of the two.
+        None where the limits leave no code, infinite where they leave nothing else.
         """
         code, plain = self.best("code"), [way.psnr_db for kind in _PLAIN if (way := self.best(kind)) is not None]
-        return code.psnr_db - max(plain) if code is not None and plain else None
+        return None if code is None else code.psnr_db - max(plain, default=-math.inf)
 
     @property
     def sentence(self) -> str:
         """What to do, and what it gains: one or two sentences."""
         way, light = self.advised, _light(self.camera)
         code, snapshot = self.best("code"), self.best("snapshot")
-        over_open = f"{_db(way.psnr_db - self.ways[0].psnr_db)} better than the open shutter{light}"
+        over_open = f"{_better(way.psnr_db - self.ways[0].psnr_db)} than the open shutter{light}"
         if way.kind == "open":
-            said = f"Leave the shutter open: no shorter exposure and no code gains {WORTH_DB:g} dB{light}."
+            said = f"Leave the shutter open: no shorter exposure and no code found gains {WORTH_DB:g} dB{light}."
         elif way.kind == "snapshot":
             lost = 0.0 if code is None else way.psnr_db - code.psnr_db
-            than = f"{_db(lost)} better than the best code and" if lost >= WORTH_DB else "as well as any code and"
-            said = f"Coding does not pay here: expose {_share(way.code)}; that restores {than} {over_open}."
+            than = f"{_better(lost)} than {self.code_name}" if lost >= WORTH_DB else f"as well as {self.code_name}"
+            if code is None:
+                than = "as the limits leave no code"
+            said = f"Coding does not pay here: expose {_share(way.code)}; that restores {than} and {over_open}."
         else:
             do = "Code this exposure" if way.kind == "code" else f"Pulse the shutter evenly, {_pulses(way.code)}"
-            over = (
-                "" if snapshot is None else f"{_db(way.psnr_db - snapshot.psnr_db)} better than {_run(snapshot)} and "
-            )
+            over = "" if snapshot is None else f"{_better(way.psnr_db - snapshot.psnr_db)} than {_run(snapshot)} and "
             said = f"{do}: that restores {over}{over_open}."
-        if (better := self.outside) is not None:
+        if (other := self.outside) is not None:
             said += (
-                f" If the limits can be loosened, {_run(better)} would be {_db(better.psnr_db - way.psnr_db)} "
-                "better still."
+                f" If the limits can be loosened, {_run(other)} restores {_better(other.psnr_db - way.psnr_db)} still."
             )
         return said
-
-    def _gains(self, figure: str) -> dict[str, float]:
-        opened = getattr(self.ways[0], figure)
-        best = {kind: self.best(kind) for kind in _SIMPLEST}
-        return {kind: getattr(way, figure) - opened for kind, way in best.items() if way is not None}
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON."""
@@ -236,12 +235,15 @@ class Advice:
 
     @property
     def crossover(self) -> tuple[tuple[float | None, float | None], ...]:
-        """Ranges of light, photo-electrons at full scale, in which a code gains :data:`WORTH_DB` over all else.
+        """Ranges of light, photo-electrons at full scale, in which coding gains :data:`WORTH_DB`.
+
+        Even pulses count as a code; the gain is that over the better of open shutter and best snapshot.
 
         Between the levels the gain is interpolated over the logarithm of the light; None where a range goes on beyond
         the levels.
         """
-        gains = np.array([-np.inf if (gain := one.code_gain_db) is None else gain for one in self.levels]) - WORTH_DB
+        stated = [one.code_gain_db for one in self.levels]
+        gains = np.array([-np.inf if gain is None else gain for gain in stated]) - WORTH_DB
         light = np.log10([one.camera.photons_full_scale for one in self.levels])
         ranges: list[tuple[float | None, float | None]] = []
         begins: float | None = None
@@ -265,19 +267,21 @@ class Advice:
     def where(self) -> str:
         """At which light coding pays: one sentence."""
         levels = [one.camera.photons_full_scale for one in self.levels]
+        if all(one.code_gain_db == math.inf for one in self.levels):
+            return "Only codes keep these limits, at any light."
+        if len(levels) == 1:
+            return "No other light was tried."
         span = f"between {levels[0]:,.0f} and {levels[-1]:,.0f} photo-electrons at full scale"
         if not self.crossover:
             return f"With this camera and motion coding pays at no light {span}."
-        best = max(self.levels, key=lambda one: one.code_gain_db or -math.inf)
+        gains = {one.camera.photons_full_scale: one.code_gain_db or 0.0 for one in self.levels}
+        most = max((level for level in gains if math.isfinite(gains[level])), key=gains.__getitem__)
         if self.crossover == ((None, None),):
             where = f"at any light {span}"
         else:
             ranges = " and ".join(_range(low, high) for low, high in self.crossover)
             where = f"{ranges} photo-electrons at full scale"
-        return (
-            f"Coding pays {where}, by {_db(best.code_gain_db or 0.0)} at most "
-            f"(at {best.camera.photons_full_scale:,.0f})."
-        )
+        return f"Coding pays {where}, by {gains[most]:.2g} dB at most (at {most:,.0f})."
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep advise --json`` prints them."""
@@ -317,12 +321,12 @@ def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 
     Raises
     ------
     ValueError
-        If the problem has no motion, or a code another number of chips.
+        If the problem has no motion, the camera is full at its light, or a code has another number of chips.
     """
-    if any(code.chips != problem.chips for code in codes):
-        raise ValueError(f"codes: must have {problem.chips} chips")
-    lit = problem.with_dark_noise()
-    return _judged(lit, [lit.camera], [*ordinary_ways(lit), *codes], path_error_px=path_error_px)[0]
+    lit = _checked(problem, codes)
+    ways = [*ordinary_ways(lit, path_error_px=path_error_px), *codes]
+    name = "this code" if len(codes) == 1 else "the best of these codes"
+    return replace(_judged(lit, [lit.camera], ways, path_error_px=path_error_px)[0], code_name=name)
 
 
 def advise(
@@ -371,18 +375,11 @@ def advise(
     wrong = [level for level in levels if not _LEAST_LEVEL <= level <= _MOST_LEVEL]
     if wrong:
         raise ValueError(f"levels: must lie within 1..1e7 photo-electrons at full scale, got {wrong[0]:g}")
-    if not problem.scenarios:
-        raise ValueError("scenarios: need a motion to advise on")
+    problem = _checked(problem, codes)
     for scenario in problem.scenarios:
         check_frame(scenario.trajectory)
         check_resolved(scenario.trajectory, problem.chips)
     own, full_e = problem.camera.photons_full_scale, problem.camera.saturation_e
-    if own > full_e:
-        raise ValueError(
-            f"photons_full_scale: this camera is full at {full_e:,.0f} electrons, got a light level of {own:,.0f}; "
-            "give what an exposure that it can record collects"
-        )
-    problem = problem.with_dark_noise()
     light = sorted({*(float(level) for level in levels if level <= full_e), own})
     cameras = [problem.camera.at(level) for level in light]
     pool: list[ShutterCode] = list(codes)
@@ -390,7 +387,7 @@ def advise(
     for done, camera in enumerate(cameras):
         progress(done / parts, f"{camera.photons_full_scale:,.0f} photo-electrons")
         lit = replace(problem, camera=camera)
-        ordinary = ordinary_ways(lit)
+        ordinary = ordinary_ways(lit, path_error_px=path_error_px if done == 0 else 0.0)
         pool += [*ordinary, *_searched(lit, [*ordinary, *pool], seed=seed, threads=threads)]
     progress(len(cameras) / parts, "judging")
     judged = _judged(problem, cameras, pool, path_error_px=path_error_px)
@@ -403,8 +400,8 @@ def best_psnr_db(
     problem: SearchProblem, *, path_error_px: float = 0.0, seed: int = 0, threads: int | None = None
 ) -> float:
     """Return the PSNR, dB, expected of the best way within the limits at the camera's light; see :func:`advise`."""
-    lit = problem.with_dark_noise()
-    ordinary = ordinary_ways(lit)
+    lit = _checked(problem, ())
+    ordinary = ordinary_ways(lit, path_error_px=path_error_px)
     codes = [*ordinary, *_searched(lit, ordinary, seed=seed, threads=threads)]
     judged = _judged(lit, [lit.camera], codes, path_error_px=path_error_px)[0]
     return max(way.psnr_db for way in judged.ways if way.within_limits)
@@ -472,8 +469,12 @@ def in_words_of_chips(gains_db: Mapping[int, float]) -> str:
     return ", ".join(f"{name} {part}" for name, part in zip(names, parts, strict=True))
 
 
-def ordinary_ways(problem: SearchProblem) -> list[ShutterCode]:
-    """Return the best snapshots and strobes by the expected error: of all, and where these break the limits, within."""
+def ordinary_ways(problem: SearchProblem, *, path_error_px: float = 0.0) -> list[ShutterCode]:
+    """Return single exposures and even pulses to judge: the best by the expected error, of all and within the limits.
+
+    Also those that may be the best with a brighter lamp, or for a path that is not known exactly: the shortest
+    exposures, and with an error of the path exposures of all lengths.
+    """
     coarse = Objective(replace(problem, objective="mse"), oversampling=_COARSE)
     found = []
     for best in (best_snapshot, best_strobe):
@@ -483,7 +484,35 @@ def ordinary_ways(problem: SearchProblem) -> list[ShutterCode]:
         found.append(free)
         if not problem.allows(free) and (kept := best(coarse, within_limits=True)) is not None:
             found.append(kept)
+    n = problem.chips
+    shortest = max(problem.open_limits[0], 1)
+    lengths = np.arange(1, n) if path_error_px else np.unique([1, shortest])
+    every = n * (n - 1) // 2 <= _MOST_RUNS
+    for length in lengths if every else _spread(lengths, _LENGTHS):
+        starts = np.arange(n - length + 1)
+        runs = starts if every and path_error_px else _spread(starts, _STARTS)
+        found += [ShutterCode("0" * i + "1" * int(length) + "0" * (n - int(length) - i)) for i in map(int, runs)]
     return found
+
+
+def _spread(values: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Return all values, or so many of them evenly spread."""
+    return values[np.unique(np.linspace(0, len(values) - 1, min(len(values), most)).round().astype(np.intp))]
+
+
+def _checked(problem: SearchProblem, codes: Sequence[ShutterCode]) -> SearchProblem:
+    """Return the problem with its dark noise, where codes suit it and its camera is not full."""
+    if not problem.scenarios:
+        raise ValueError("scenarios: need a motion to advise on")
+    if any(code.chips != problem.chips for code in codes):
+        raise ValueError(f"codes: must have {problem.chips} chips")
+    own, full_e = problem.camera.photons_full_scale, problem.camera.saturation_e
+    if own > full_e:
+        raise ValueError(
+            f"photons_full_scale: this camera is full at {full_e:,.0f} electrons, got a light level of {own:,.0f}; "
+            "give what an exposure that it can record collects"
+        )
+    return problem.with_dark_noise()
 
 
 def _searched(
@@ -493,7 +522,7 @@ def _searched(
     allowed = [code for code in starts if problem.allows(code)]
     sought = replace(problem, objective="mse")
     found = anneal(
-        sought, rng=np.random.default_rng([seed, 7]), steps=_MOVES, time_s=_SEARCH_S, start=allowed, threads=threads,
+        sought, rng=np.random.default_rng([seed, 7]), steps=_MOVES, time_s=math.inf, start=allowed, threads=threads,
         judge=Objective(sought, oversampling=_COARSE, dtype=np.float64),
     )  # fmt: skip
     if found.stopped == "interrupted":
@@ -512,6 +541,8 @@ def _judged(
     noise = [model(camera, n) for camera in cameras for model in (light_noise, equal_light_noise)]
     psnr = expected_psnr_db(problem, every, noise=noise, path_error_px=path_error_px).reshape(len(every), -1, 2)
     allowed = [problem.allows(code) for code in every]
+    if not any(allowed):
+        raise ValueError("limits: none of the ways to expose that were tried keeps them")
     return [
         Verdict(
             camera,
@@ -532,6 +563,8 @@ def _kind(code: ShutterCode) -> Choice:
         return "open"
     if len(starts) == 1:
         return "snapshot"
+    if len(starts) == 2:
+        return "code"  # any two equal openings would be even
     even = len(np.unique(np.diff(starts))) == 1 and len(np.unique((ends - starts)[:-1])) == 1
     # the last pulse may be cut off by the end of the exposure
     whole = ends[-1] - starts[-1] == ends[0] - starts[0] or (
@@ -547,14 +580,25 @@ def _light(camera: Camera) -> str:
     )
 
 
-def _db(value: float) -> str:
-    return f"{value:.1f} dB" if abs(value) >= 0.95 else f"{value:.2f} dB"
+def _better(gain_db: float) -> str:
+    size = f"{abs(gain_db):.1f} dB" if abs(gain_db) >= 0.95 else f"{abs(gain_db):.2f} dB"
+    return f"{size} {'better' if gain_db >= 0 else 'worse'}"
+
+
+def _simplest(ways: Sequence[Way]) -> Way:
+    """Return the best way of the simplest kind that none beats by :data:`WORTH_DB`."""
+    highest = max(way.psnr_db for way in ways)
+    near = [way for way in ways if way.psnr_db > highest - WORTH_DB]
+    simplest = min(_SIMPLEST.index(way.kind) for way in near)
+    return max((way for way in near if way.kind == _SIMPLEST[simplest]), key=lambda way: way.psnr_db)
 
 
 def _run(way: Way) -> str:
+    if way.kind == "open":
+        return "the open shutter"
     if way.kind == "snapshot":
         return f"a single exposure of {_share(way.code)}"
-    return f"{_pulses(way.code)}, open {_share(way.code)}"
+    return "a code" if way.kind == "code" else _pulses(way.code)
 
 
 def _pulses(code: ShutterCode) -> str:
@@ -562,7 +606,7 @@ def _pulses(code: ShutterCode) -> str:
     opened = code.bits.index("1")
     closed = code.bits.index("0", opened)
     period = code.bits.find("1", closed) - opened
-    return f"{closed - opened} of every {period} chips open"
+    return f"{code.pulses} pulses of {closed - opened} chips, one every {period} chips"
 
 
 def _share(code: ShutterCode) -> str:

@@ -428,6 +428,8 @@ def write_calibration(
             write_image(made / "map.png", best.hr_map(), gamma="linear")
         save(trajectory_figure(photo, best), made / "preview.png")
         if "order_confidence" not in estimate.details:  # a photo through a code has a PSF of its own
-            write_image(made / "sharpened.png", sharpen(photo, estimate).image, bits=bits, gamma=gamma)
+            restored = sharpen(photo, estimate)
+            if not restored.kept:
+                write_image(made / "sharpened.png", restored.image, bits=bits, gamma=gamma)
         names = sorted(item.name for item in made.iterdir())
     return {name: Path(folder) / name for name in names}

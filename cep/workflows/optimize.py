@@ -239,6 +239,7 @@ def optimize(
     effort: Literal["quick", "sdp"] = "quick",
     seed: int = 0,
     along: Trajectory | None = None,
+    path_error_px: float = 0.0,
     figures: Mapping[str, FigureOfMerit] | None = None,
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
@@ -257,6 +258,8 @@ def optimize(
     along : Trajectory, optional
         What the certificate is for; the first scenario's path when omitted. Where the code's polynomial alone decides,
         it is for the unit circle.
+    path_error_px : float
+        Rms error of the path where it is an estimate: the verdict counts it, the search does not.
     figures : mapping from a name to a function, optional
         Figures of merit of the user's own for the comparison, taken along the same motion; see
         :func:`cep.proofs.measure.own_figures`. The search knows nothing of them.
@@ -283,14 +286,14 @@ def optimize(
     how = Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)
     if not problem.scenarios:
         raise ValueError("scenarios: need a motion to compare and certify codes along")
-    problem = problem.with_dark_noise()
+    lit = problem.with_dark_noise()
     motion = along or problem.scenarios[0].trajectory
     check_frame(motion)
     check_resolved(motion, problem.chips)
     designed = as_designed(motion, problem.direction)
     own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))  # one that fails does so before the search
     found = search(
-        searched_problem(problem),
+        searched_problem(lit),
         how,
         length_px=mean_length_px(problem),
         threads=threads,
@@ -299,8 +302,8 @@ def optimize(
     code = replace(found.code, chip_ns=problem.chip_ns)
     on_found(code, found)
     progress(_SEARCH_SHARE, "comparing with other codes")
-    comparison = compare(problem, code, baselines=found.baselines, figures=figures, along=motion)
-    judged = verdict(problem, code)
+    comparison = compare(lit, code, baselines=found.baselines, figures=figures, along=motion)
+    judged = verdict(problem, code, path_error_px=path_error_px)
     path = None if problem.on_circle else designed
     certificate = certify(code, path)
     bounded = _bounded(problem, comparison[0].metrics, straight=path is None, effort=effort)

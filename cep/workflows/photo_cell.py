@@ -78,8 +78,9 @@ def estimate_from_figures(figures: Mapping[str, Figure]) -> tuple[MotionEstimate
     psf = np.frombuffer(base64.b64decode(stored["psf"]["data"]), dtype="<f8").reshape(stored["psf"]["shape"])
     warnings = json.loads(str(figures["warnings"]))
     found = MotionEstimate(
-        stored["method"], paths, tuple(stored["weights"]), psf, stored["confidence"], details=stored["details"]
-    )
+        stored["method"], paths, tuple(stored["weights"]), psf, stored["confidence"], tuple(stored["warnings"]),
+        stored["details"], tuple(stored["psf_warnings"]),
+    )  # fmt: skip
     return found, warnings
 
 
@@ -97,7 +98,7 @@ def estimator_version(method: str) -> str:
 
 
 def _text_of(found: MotionEstimate) -> str:
-    """Spell an estimate without its warnings; floats come back as they were."""
+    """Spell an estimate; floats come back as they were."""
     psf = np.ascontiguousarray(found.psf, dtype="<f8")
     return json.dumps(
         {
@@ -109,6 +110,8 @@ def _text_of(found: MotionEstimate) -> str:
             "weights": [float(weight) for weight in found.weights],
             "psf": {"shape": psf.shape, "data": base64.b64encode(psf.tobytes()).decode()},
             "confidence": float(found.confidence),
+            "warnings": list(found.warnings),
+            "psf_warnings": list(found.psf_warnings),
             "details": plain(found.details),
         }
     )

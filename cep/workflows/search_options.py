@@ -73,7 +73,7 @@ def problem_of(
     open_range = open_limits(wish.chips, wish.open_chips, wish.duty)
     runs = replace(wish.runs, fixed=_mask(wish))
     if profile is None:
-        played = Playable(within_camera(camera, chip_ns=wish.chip_ns, runs=runs), open_range, None)
+        played = Playable(within_camera(camera, chips=wish.chips, chip_ns=wish.chip_ns, runs=runs), open_range, None)
     else:
         played = within_device(profile, chips=wish.chips, chip_ns=wish.chip_ns, open_range=open_range, runs=runs)
     return SearchProblem(

@@ -34,13 +34,15 @@ def test_it_is_that_of_the_metrics():
         assert row[1] > row[0]  # more light never hurts
 
 
-def test_at_equal_light_a_code_has_the_open_shutters_photo_electrons():
-    """Twice the light through half the time: shot noise as of half the light, relative to full scale."""
-    clean = Camera(photons_full_scale=1_000, read_noise_e=0, bits=16)
-    equal, same_time = equal_light_noise(clean, 8), light_noise(clean, 8)
-    assert equal[8] == pytest.approx(same_time[8])
-    # the signal mean is duty * scene; of the brighter lamp a full scale holds chips / k as many electrons
-    np.testing.assert_allclose(equal[1:], same_time[1:] * np.arange(1, 9) / 8, rtol=1e-4)
+@pytest.mark.parametrize("camera", [Camera(photons_full_scale=1_000, read_noise_e=40, bits=8), CAMERA])
+def test_at_equal_light_the_signal_to_noise_of_a_pixel_is_the_open_shutters(camera):
+    equal, opened = equal_light_noise(camera, 8), light_noise(camera, 8)[8]
+    duty = np.arange(1, 9) / 8  # of the signal, in the lamp's full scale
+    np.testing.assert_allclose(equal[1:] / duty**2, opened)
+
+
+def test_a_very_bright_lamp_is_no_error():
+    equal_light_noise(Camera(photons_full_scale=1e7), 512)
 
 
 def test_a_path_known_exactly_is_the_limit_of_one_that_is_not():
