@@ -37,7 +37,7 @@ def test_no_code_is_advised_while_a_shorter_exposure_within_the_limits_is_better
     """Brute force over all single exposures, on random motions, cameras, limits and codes."""
     rng = np.random.default_rng(seed)
     chips = int(rng.integers(5, 10))
-    path = Trajectory.straight(rng.uniform(4, 30)) if rng.random() < 0.5 else boracchi_foi(rng, max_length_px=30)
+    path = Trajectory.straight(rng.uniform(4, 30)) if rng.random() < 0.5 else boracchi_foi(rng, max_length_px=30, samples=60)
     low = int(rng.integers(1, 4))
     camera = Camera(photons_full_scale=10 ** rng.uniform(2, 5), read_noise_e=10 ** rng.uniform(0, 2.3))
     problem = along(
@@ -116,7 +116,7 @@ def test_limits_that_leave_only_codes():
 
 def test_a_path_known_less_exactly_is_judged_on_every_single_exposure():
     """The best snapshot of an exact path need not be the best of one that is known to 1 px."""
-    path = boracchi_foi(np.random.default_rng(2), max_length_px=40)
+    path = boracchi_foi(np.random.default_rng(2), max_length_px=40, samples=60)
     problem = along(path, 13, camera=Camera(photons_full_scale=3_000, read_noise_e=10))
     runs = [
         ShutterCode("0" * first + "1" * (end - first) + "0" * (13 - end))
