@@ -18,6 +18,7 @@ from cep.optics.mtf import SCENE_MEAN, inverse_scene, noise_variance
 from cep.plots import before_after, code_strips, mtf_figure, psf_figure, trajectory_figure
 from cep.plots.advice import advice_figure
 from cep.report.result_page import Picture, Report, Section, Table, picture
+from cep.workflows.advise import WORTH_DB
 from hw.device import load_profile, profile_names
 from hw.program import Program
 from motdiff.crops import luminance
@@ -149,9 +150,15 @@ def _difference(chain: Chain) -> str:
         other.kind: (simulated[advised] - simulated[other.kind]) - (expected[advised] - expected[other.kind])
         for other in _others(chain)
     }
+    against = [other for other in _others(chain) if simulated[other.kind] > simulated[advised] + WORTH_DB]
+    contrary = "".join(
+        f" In this photo the {_NAMES[other.kind]} restores {simulated[other.kind] - simulated[advised]:.1f} dB better "
+        "than the exposure advised."
+        for other in against
+    )
     far = {kind: value for kind, value in off.items() if abs(value) >= _AGREES_DB}
     if not far:
-        return f"The simulated gains of this photo agree with the expected ones within {_AGREES_DB:g} dB."
+        return f"The simulated gains of this photo agree with the expected ones within {_AGREES_DB:g} dB.{contrary}"
     said = " and ".join(
         f"{abs(value):.1f} dB {'more' if value > 0 else 'less'} over the {_NAMES[kind]}" for kind, value in far.items()
     )
@@ -159,7 +166,7 @@ def _difference(chain: Chain) -> str:
     return (
         f"In this photo the gain is {said} than expected. Expected gains are those of a typical scene (1/f² spectrum, "
         f"mean light {SCENE_MEAN:g}) along an exactly known motion. This picture has detail of its own, borders, a "
-        f"mean light of {mean:.2f}, and {_known_in_words(chain)}."
+        f"mean light of {mean:.2f}, and {_known_in_words(chain)}.{contrary}"
     )
 
 
@@ -259,7 +266,7 @@ def _photos(chain: Chain) -> Section:
     )
     return Section(
         "Photos",
-        ("Move the boundary below the pictures to compare any two of them at full size.",),
+        ("The same scene in the same light, through each exposure.",),
         (table,),
         (
             picture(
@@ -497,7 +504,13 @@ def _agreement(chain: Chain) -> Section:
         highlight=list(simulated).index(chain.advised_shot.kind),
         note="Gain over the open shutter, restored.",
     )
-    return Section("Expected and simulated gain", (_difference(chain),), (table,))
+    paragraphs = [_difference(chain)]
+    if chain.problem.response is not None:
+        paragraphs.append(
+            "The expected gains count the time that the shutter takes to open and close; in the simulated photos it "
+            "opens and closes at once."
+        )
+    return Section("Expected and simulated gain", tuple(paragraphs), (table,))
 
 
 def _contrast(advice: Advice) -> Section:

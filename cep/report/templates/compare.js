@@ -30,6 +30,9 @@ for (const box of document.querySelectorAll(".compare")) {
   range.addEventListener("input", move);
   show();
   move();
-  box.append(stage, range);
+  const hint = document.createElement("p");
+  hint.className = "note";
+  hint.textContent = "Any two of the pictures at full size: move the boundary with the pointer or the arrow keys.";
+  box.append(stage, range, hint);
   box.hidden = false;
 }
