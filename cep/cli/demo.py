@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -113,6 +112,8 @@ _UNNAMED = (
 
 def _options(name: str | None, camera: Camera, device: str | None) -> str:
     """Say how a command line names the camera and the device."""
+    import shlex
+
     named = [] if name is None else ["--camera", name]
     light = ["--photons", f"{camera.photons_full_scale:g}", "--read-noise", f"{camera.read_noise_e:g}"]
     return shlex.join([*([] if device is None else ["--device", device]), *named, *light])
