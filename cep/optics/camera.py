@@ -131,9 +131,7 @@ class Camera:
 
         A light level above it cannot be recorded: expose for less.
         """
-        code_range_e = math.inf
-        if self.gain_e_per_dn is not None:  # the pedestal takes its part of it
-            code_range_e = self.gain_e_per_dn * (2**self.bits - 1) - self.black_level * self.photons_full_scale
+        code_range_e = math.inf if self.gain_e_per_dn is None else self.gain_e_per_dn * (2**self.bits - 1)
         return min(math.inf if self.full_well_e is None else self.full_well_e, code_range_e)
 
     def at(self, photons: float, *, exposure_s: float | None = None) -> Camera:
