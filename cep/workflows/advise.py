@@ -367,6 +367,7 @@ def advise(
 
     Examples
     --------
+    >>> from motdiff.trajectory import Trajectory
     >>> path = Trajectory.straight(40.0)
     >>> problem = SearchProblem.along(path, chips=40, camera=Camera(photons_full_scale=3_000, read_noise_e=2))
     >>> advise(problem, levels=[300, 30_000]).choice

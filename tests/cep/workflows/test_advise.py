@@ -37,7 +37,11 @@ def test_no_code_is_advised_while_a_shorter_exposure_within_the_limits_is_better
     """Brute force over all single exposures, on random motions, cameras, limits and codes."""
     rng = np.random.default_rng(seed)
     chips = int(rng.integers(5, 10))
-    path = Trajectory.straight(rng.uniform(4, 30)) if rng.random() < 0.5 else boracchi_foi(rng, max_length_px=30, samples=60)
+    path = (
+        Trajectory.straight(rng.uniform(4, 30))
+        if rng.random() < 0.5
+        else boracchi_foi(rng, max_length_px=30, samples=60)
+    )
     low = int(rng.integers(1, 4))
     camera = Camera(photons_full_scale=10 ** rng.uniform(2, 5), read_noise_e=10 ** rng.uniform(0, 2.3))
     problem = along(
