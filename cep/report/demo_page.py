@@ -18,7 +18,7 @@ from cep.optics.mtf import SCENE_MEAN, inverse_scene, noise_variance
 from cep.plots import before_after, code_strips, mtf_figure, psf_figure, trajectory_figure
 from cep.plots.advice import advice_figure
 from cep.report.result_page import Picture, Report, Section, Table, picture
-from cep.workflows.advise import WORTH_DB
+from cep.search.expected import WORTH_DB
 from hw.device import load_profile, profile_names
 from hw.program import Program
 from motdiff.crops import luminance

@@ -17,9 +17,13 @@ from cep.search.scenarios import Scenario, scenario_rows
 from motdiff.motions import with_smooth_error
 from motdiff.trajectory import Trajectory
 
-__all__ = ["equal_light_noise", "expected_psnr_db", "light_noise"]
+__all__ = ["WORTH_DB", "equal_light_noise", "expected_psnr_db", "light_noise"]
 
 FloatArray = NDArray[np.float64]
+
+WORTH_DB = 0.1
+"""Expected gain below which the simpler way to expose is advised."""
+
 _OVERSAMPLING = 16
 _PAIRS = 16  # of opposite draws of a path's error
 _INTERVALS = 128  # a side

@@ -16,7 +16,7 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.search.annealing.anneal import anneal
-from cep.search.expected import equal_light_noise, expected_psnr_db, light_noise
+from cep.search.expected import WORTH_DB, equal_light_noise, expected_psnr_db, light_noise
 from cep.search.light import best_snapshot, best_strobe
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
@@ -25,7 +25,6 @@ __all__ = [
     "ASSUMED_EXPOSURE_S",
     "COUNTS",
     "LEVELS",
-    "WORTH_DB",
     "Advice",
     "Choice",
     "Verdict",
@@ -43,9 +42,6 @@ Choice = Literal["open", "snapshot", "strobe", "code"]
 
 LEVELS = (100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
 """Photo-electrons at full scale at which the ways to expose are compared: from starlight to studio."""
-
-WORTH_DB = 0.1
-"""Gain below which the simpler way to expose is advised."""
 
 ASSUMED_EXPOSURE_S = 0.05
 """Exposure where none is given and the number of chips is chosen: it must be the same for all."""
@@ -132,7 +128,7 @@ class Verdict:
 
     @property
     def advised(self) -> Way:
-        """The way to take: the simplest within the limits that none of the others beats by :data:`WORTH_DB`."""
+        """The way to take: the simplest within the limits that none of the others beats by :data:`cep.search.expected.WORTH_DB`."""
         return _simplest([way for way in self.ways if way.within_limits])
 
     @property
@@ -142,7 +138,7 @@ class Verdict:
 
     @property
     def outside(self) -> Way | None:
-        """The way to take without the limits, where it is better by :data:`WORTH_DB`; else None."""
+        """The way to take without the limits, where it is better by :data:`cep.search.expected.WORTH_DB`; else None."""
         best = _simplest(self.ways)
         return best if best.psnr_db > self.advised.psnr_db + WORTH_DB else None
 
@@ -235,7 +231,7 @@ class Advice:
 
     @property
     def crossover(self) -> tuple[tuple[float | None, float | None], ...]:
-        """Ranges of light, photo-electrons at full scale, in which coding gains :data:`WORTH_DB`.
+        """Ranges of light, photo-electrons at full scale, in which coding gains :data:`cep.search.expected.WORTH_DB`.
 
         Even pulses count as a code; the gain is that over the better of open shutter and best snapshot.
 
@@ -417,7 +413,7 @@ def suited_chips(
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> tuple[int, dict[int, float]]:
-    """Choose the number of chips: the fewest with which the best way is within :data:`WORTH_DB` of the best of all.
+    """Choose the number of chips: the fewest with which the best way is within :data:`cep.search.expected.WORTH_DB` of the best of all.
 
     Parameters
     ----------
@@ -587,7 +583,7 @@ def _better(gain_db: float) -> str:
 
 
 def _simplest(ways: Sequence[Way]) -> Way:
-    """Return the best way of the simplest kind that none beats by :data:`WORTH_DB`."""
+    """Return the best way of the simplest kind that none beats by :data:`cep.search.expected.WORTH_DB`."""
     highest = max(way.psnr_db for way in ways)
     near = [way for way in ways if way.psnr_db > highest - WORTH_DB]
     simplest = min(_SIMPLEST.index(way.kind) for way in near)

@@ -12,10 +12,10 @@ from cep.optics.band import band_samples
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
-from cep.search.expected import expected_psnr_db, light_noise
+from cep.search.expected import WORTH_DB, expected_psnr_db, light_noise
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
-from cep.workflows.advise import WORTH_DB, advise, suited_chips, verdict
+from cep.workflows.advise import advise, suited_chips, verdict
 from hw.device import DeviceProfile
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
