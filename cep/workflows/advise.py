@@ -128,7 +128,7 @@ class Verdict:
 
     @property
     def advised(self) -> Way:
-        """The way to take: the simplest within the limits that none of the others beats by :data:`cep.search.expected.WORTH_DB`."""
+        """The way to take: the simplest within the limits that no other beats by ``WORTH_DB``."""
         return _simplest([way for way in self.ways if way.within_limits])
 
     @property
@@ -413,7 +413,7 @@ def suited_chips(
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> tuple[int, dict[int, float]]:
-    """Choose the number of chips: the fewest with which the best way is within :data:`cep.search.expected.WORTH_DB` of the best of all.
+    """Choose the number of chips: the fewest with which the best way is within ``WORTH_DB`` of the best.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ from photos taken through known codes."""
 
 CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png", "sharpened.png")
 """What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field,
-``sharpened.png`` only of a photo with an open shutter."""
+``sharpened.png`` only of a photo with an open shutter, where a restoration is better than the photo."""
 
 _LEAST_PX = {
     "motdiff": PSF_PX,
