@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.cli.code_options import Device, Direction, Exposure, exposure_seconds
+from cep.cli.code_options import Device, Direction, Exposure, chips_option, exposure_seconds
 from cep.cli.console import finish, part, progress, table
 from cep.cli.options import (
     CameraFile,
@@ -28,20 +28,15 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from cep.workflows.advise import Advice, Choice, Way
+    from cep.workflows.advise import Advice, Way
 
 __all__ = ["advise"]
-
-_KINDS: tuple[Choice, ...] = ("open", "snapshot", "strobe", "code")
 
 
 def advise(
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
-    chips: Annotated[
-        int | None,
-        typer.Option("--chips", "-n", metavar="N", min=2, help="Number of chips; as many as pay when omitted."),
-    ] = None,
+    chips: Annotated[int | None, chips_option(least=2, help="Number of chips; as many as pay when omitted.")] = None,
     exposure: Exposure = None,
     code: Annotated[
         list[str] | None,
@@ -144,7 +139,7 @@ def _show(
     here, problem = advice.here, advice.problem
     console.print(here.sentence)
     console.print(advice.where)
-    best = {way.label: way for kind in _KINDS if (way := here.best(kind)) is not None}
+    best = {way.label: way for kind in here.gains_db if (way := here.best(kind)) is not None}
     shown = {**best, **{f"your {way.label}, {way.code.bits}": way for way in own}}
     opened = here.ways[0]
     rows = [

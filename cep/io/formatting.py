@@ -18,8 +18,8 @@ def number(value: float, *, digits: int = 4) -> str:
     return f"{value:.{digits}g}" if not abs(value) < _ROUNDING else "0"
 
 
-def duration(seconds: float) -> str:
-    """Format a duration in the unit that suits it, to three digits.
+def duration(seconds: float, *, digits: int = 3) -> str:
+    """Format a duration in the unit that suits it.
 
     Examples
     --------
@@ -28,5 +28,5 @@ def duration(seconds: float) -> str:
     """
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
         if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds * 1e9:.3g} ns"
+            return f"{seconds / size:.{digits}g} {unit}"
+    return f"{seconds * 1e9:.{digits}g} ns"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.io.formatting import duration
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import mtf
 from cep.plots.canvas import COLOURS, LINES, new_figure
@@ -47,7 +48,9 @@ def code_strips(codes: Mapping[str, ShutterCode]) -> Figure:
             1.01, 0.5, f"{code.open_chips} of {code.chips} open\n{code.duty:.0%} of the light",
             transform=axes.transAxes, va="center", fontsize=8, color="0.3",
         )  # fmt: skip
-    rows[-1].set_xlabel(f"time, chips of {_time_text(next(iter(codes.values())).chip_ns)}; yellow = open")
+    rows[-1].set_xlabel(
+        f"time, chips of {duration(next(iter(codes.values())).chip_ns * 1e-9, digits=4)}; yellow = open"
+    )
     return figure
 
 
@@ -129,10 +132,3 @@ def _mtf_map(trajectory: Trajectory, code: ShutterCode | None, grid: int) -> Flo
     fx, fy = np.meshgrid(line, line[: (grid + 1) // 2])
     half = mtf(trajectory, code, fx, fy)
     return np.concatenate([half, half[: grid // 2][::-1, ::-1]])
-
-
-def _time_text(time_ns: int) -> str:
-    for unit_ns, unit in ((10**9, "s"), (10**6, "ms"), (10**3, "us")):
-        if time_ns >= unit_ns:
-            return f"{time_ns / unit_ns:.4g} {unit}"
-    return f"{time_ns} ns"

@@ -28,7 +28,7 @@ from motdiff.psf_frame import PSF_PX
 if TYPE_CHECKING:
     from cep.optics.camera import Camera
     from cep.proofs.certify.certificate import Certificate
-    from cep.workflows.advise import Advice, Choice
+    from cep.workflows.advise import Advice
     from cep.workflows.demo_chain import Chain, Shot
     from motdiff.trajectory import Trajectory
 
@@ -41,7 +41,6 @@ DEMO_PICTURES = ("advice", "code_strip", "mtf", "photos", "scene_at_rest")
 _SURE = 0.5
 _AGREES_DB = 0.3
 _INTERVALS = 128
-_KINDS: tuple[Choice, ...] = ("open", "snapshot", "strobe", "code")
 _NAMES = {"open": "open shutter", "snapshot": "best single exposure", "coded": "best code"}
 
 
@@ -202,14 +201,14 @@ def _gain(chain: Chain) -> Section:
 def _gains_table(advice: Advice) -> Table:
     here, advised = advice.here, None
     rows: list[tuple[object, ...]] = []
-    for kind in _KINDS:
+    for kind, gain_db in here.gains_db.items():
         way = here.best(kind)
         if way is None or (kind == "code" and way.kind == "strobe"):  # the same even pulses
             continue
         if way is here.advised:
             advised = len(rows)
         open_s = way.code.open_chips * way.code.chip_ns * 1e-9
-        rows.append((way.label, duration(open_s), way.code.pulses, _two(here.gains_db[kind])))
+        rows.append((way.label, duration(open_s), way.code.pulses, _two(gain_db)))
     light = f"{here.camera.photons_full_scale:,.0f} photo-electrons at full scale"
     return Table(
         ("best of each kind", "open for", "openings", "expected gain, dB"),

@@ -16,7 +16,7 @@ from cep.search.limits import Limits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
-__all__ = ["RandomCodes", "best_snapshot", "best_strobe", "random_codes"]
+__all__ = ["RandomCodes", "best_snapshot", "best_strobe", "evenly_some", "random_codes"]
 
 Codes = NDArray[np.int8]
 FloatArray = NDArray[np.float64]
@@ -94,8 +94,8 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
         most_lengths = most_starts = n + 1
     runs = [
         (int(start), int(start + length))
-        for length in _some(lengths, most_lengths)
-        for start in _some(np.flatnonzero(fits[length]), most_starts)
+        for length in evenly_some(lengths, most_lengths)
+        for start in evenly_some(np.flatnonzero(fits[length]), most_starts)
     ]
     chip = np.arange(n)
     best, lowest = (0, 0), np.inf
@@ -152,8 +152,8 @@ def _strobes(chips: int) -> Codes:
     return np.array(
         [
             (chip % period) < width
-            for period in _some(np.arange(2, chips), _PERIODS)
-            for width in _some(np.arange(1, period), _WIDTHS)
+            for period in evenly_some(np.arange(2, chips), _PERIODS)
+            for width in evenly_some(np.arange(1, period), _WIDTHS)
         ],
         dtype=np.int8,
     )
@@ -169,18 +169,18 @@ def _strobes_within(problem: SearchProblem) -> Codes:
         first, last = max(2, -(-low // width)), min(most, high // width, limits.runs.max_pulses or most)
         pairs += [(width, pulses) for pulses in range(first, last + 1)]
     codes = []
-    for width, pulses in (pairs[index] for index in _some(np.arange(len(pairs)), _PAIRS)):
+    for width, pulses in (pairs[index] for index in evenly_some(np.arange(len(pairs)), _PAIRS)):
         least, longest = max(limits.runs.min_period, width + limits.runs.min_closed), (n - width) // (pulses - 1)
-        for period in _some(np.arange(least, longest + 1), _PERIODS_WITHIN):
+        for period in evenly_some(np.arange(least, longest + 1), _PERIODS_WITHIN):
             later = n - ((pulses - 1) * period + width) if limits.runs.fixed is not None else 0
             code = np.zeros(n, dtype=np.int8)
             code[(np.arange(pulses)[:, None] * period + np.arange(width)).ravel()] = 1
-            codes += [np.roll(code, first) for first in _some(np.arange(later + 1), _FIRSTS)]
+            codes += [np.roll(code, first) for first in evenly_some(np.arange(later + 1), _FIRSTS)]
     every = np.array(codes, dtype=np.int8).reshape(-1, n)
     return every[problem.satisfied(every)]
 
 
-def _some(values: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+def evenly_some(values: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     """Return all values, or ``most`` of them evenly spread."""
     return values[np.unique(np.linspace(0, len(values) - 1, min(len(values), most)).round().astype(np.intp))]
 

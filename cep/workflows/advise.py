@@ -17,7 +17,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.search.annealing.anneal import anneal
 from cep.search.expected import WORTH_DB, equal_light_noise, expected_psnr_db, light_noise
-from cep.search.light import best_snapshot, best_strobe
+from cep.search.light import best_snapshot, best_strobe, evenly_some
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
@@ -143,13 +143,13 @@ class Verdict:
         return best if best.psnr_db > self.advised.psnr_db + WORTH_DB else None
 
     @property
-    def gains_db(self) -> dict[str, float]:
+    def gains_db(self) -> dict[Choice, float]:
         """Expected gain of the best way of each kind over the open shutter, dB, within the limits."""
         best = {kind: self.best(kind) for kind in _SIMPLEST}
         return {kind: way.psnr_db - self.ways[0].psnr_db for kind, way in best.items() if way is not None}
 
     @property
-    def equal_light_gains_db(self) -> dict[str, float]:
+    def equal_light_gains_db(self) -> dict[Choice, float]:
         """The same where a brighter lamp makes up for the closed chips; the best ways may be others there."""
         best = {kind: self.best(kind, equal_light=True) for kind in _SIMPLEST}
         return {kind: way.equal_light_db - self.ways[0].equal_light_db for kind, way in best.items() if way is not None}
@@ -225,7 +225,7 @@ class Advice:
         return self.here.choice
 
     @property
-    def gains_db(self) -> dict[str, float]:
+    def gains_db(self) -> dict[Choice, float]:
         """As :attr:`Verdict.gains_db`, at the camera's light."""
         return self.here.gains_db
 
@@ -485,16 +485,11 @@ def ordinary_ways(problem: SearchProblem, *, path_error_px: float = 0.0) -> list
     shortest = max(problem.open_limits[0], 1)
     lengths = np.arange(1, n) if path_error_px else np.unique([1, shortest])
     every = n * (n - 1) // 2 <= _MOST_RUNS
-    for length in lengths if every else _spread(lengths, _LENGTHS):
+    for length in lengths if every else evenly_some(lengths, _LENGTHS):
         starts = np.arange(n - length + 1)
-        runs = starts if every and path_error_px else _spread(starts, _STARTS)
+        runs = starts if every and path_error_px else evenly_some(starts, _STARTS)
         found += [ShutterCode("0" * i + "1" * int(length) + "0" * (n - int(length) - i)) for i in map(int, runs)]
     return found
-
-
-def _spread(values: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Return all values, or so many of them evenly spread."""
-    return values[np.unique(np.linspace(0, len(values) - 1, min(len(values), most)).round().astype(np.intp))]
 
 
 def _checked(problem: SearchProblem, codes: Sequence[ShutterCode]) -> SearchProblem:

@@ -21,7 +21,7 @@ __all__ = ["EdgeWidths", "edge_widths", "kernel_edge_widths"]
 FloatArray = NDArray[np.float64]
 
 DIRECTIONS = 8
-"""Directions of the edges' normals that are told apart, over half a turn."""
+"""Number of directions of edge normals, evenly spaced over half a turn."""
 
 _REACH_PX, _PLATEAU_PX, _STEP_PX = 10.0, 3.0, 0.5  # a profile's half length; where its plateaus begin; its pitch
 _ALONG_PX = (-2, -1, 0, 1, 2)  # profiles averaged along the edge, against noise
