@@ -173,8 +173,8 @@ def _run(
                 progress(
                     len(found) / len(by_key), f"{len(found)} of {len(by_key)} cells, about {_in_words(left_s)} left"
                 )
-    except KeyboardInterrupt:
-        pass
+    except KeyboardInterrupt:  # it may have come between the writing of a cell and its entry here
+        found |= {key: known for key in left if key not in found and (known := store.find(key)) is not None}
     results = tuple(
         Result(cell, found[key], key in cached) for key, cell in zip(keys, cells, strict=True) if key in found
     )
