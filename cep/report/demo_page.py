@@ -15,14 +15,14 @@ from cep.optics.band import grid_samples
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf, mtf
 from cep.optics.mtf import SCENE_MEAN, inverse_scene, noise_variance
-from cep.plots import before_after, code_strips, mtf_figure, psf_figure, trajectory_figure
+from cep.plots import before_after, code_strips, mtf_figure, psf_figure
 from cep.plots.advice import advice_figure
+from cep.report.motion_section import motion_section
 from cep.report.result_page import Picture, Report, Section, Table, picture
 from cep.search.expected import WORTH_DB
 from hw.device import load_profile, profile_names
 from hw.program import Program
 from motdiff.crops import luminance
-from motdiff.metrics import mnc_subpixel, path_distance_px
 from motdiff.psf_frame import PSF_PX
 
 if TYPE_CHECKING:
@@ -38,7 +38,6 @@ FloatArray = NDArray[np.float64]
 DEMO_PICTURES = ("advice", "code_strip", "mtf", "photos", "scene_at_rest")
 """Pictures of the report that are files of their own too; the code strip where a code is advised."""
 
-_SURE = 0.5
 _AGREES_DB = 0.3
 _INTERVALS = 128
 _NAMES = {"open": "open shutter", "snapshot": "best single exposure", "coded": "best code"}
@@ -58,7 +57,7 @@ def demo_report(chain: Chain, *, options: str = "") -> Report:
         f"Python {platform.python_version()}; seed {chain.seed}; camera: {chain.camera}. "
         + "Seconds: " + ", ".join(f"{what} {seconds:.1f}" for what, seconds in chain.seconds) + "."
     )  # fmt: skip
-    sections = [_gain(chain), _photos(chain), _motion(chain), _exposure(chain), _mtf(chain), _agreement(chain)]
+    sections = [_gain(chain), _photos(chain), motion_section(chain), _exposure(chain), _mtf(chain), _agreement(chain)]
     if chain.contrast is not None:
         sections.append(_contrast(chain.contrast))
     if chain.coded:
@@ -293,74 +292,6 @@ def _openings(code: ShutterCode) -> str:
     return f"Open for {duration(code.open_chips * code.chip_ns * 1e-9)} in {count}"
 
 
-# -- motion -----------------------------------------------------------------------------------------------------------
-
-
-def _motion(chain: Chain) -> Section:
-    estimate, motion = chain.estimate, chain.estimate.best
-    paragraphs = [
-        f"{chain.scene.name}. The method {estimate.method} found a path of {motion.length_px:.1f} px, "
-        f"{motion.extent_px:.1f} px wide, with confidence {estimate.confidence:.2f}.",
-    ]
-    psfs = {"estimated": estimate.psf, "traced path": motion.psf(motion.frame_size(PSF_PX))}
-    if chain.scene.motion is not None:
-        truth = chain.scene.motion
-        psfs["true"] = truth.psf(truth.frame_size(PSF_PX))
-        paragraphs.append(
-            f"The true motion is known here: the estimated PSF matches it with an MNC of "
-            f"{mnc_subpixel(estimate.psf, psfs['true']):.3f} (1 is perfect), the path lies "
-            f"{path_distance_px(motion, truth):.2f} px off on average."
-        )
-    if motion.direction == "unknown":
-        paragraphs.append(
-            "One ordinary photo cannot tell the direction: a path and its reverse give the same photo. So the exposure "
-            "is chosen for the worse of the two."
-        )
-    if (better := chain.refinement) is not None and better.kept == "refined":
-        told = "and now has a direction" if better.trajectory.direction == "known" else "its direction is still open"
-        paragraphs.append(
-            f"The blurred and the coded photo together refine the path (cep refine): it is expected to be "
-            f"{better.uncertainty_px:.2f} px off, {told}. All photos here are restored along the refined path."
-        )
-    elif chain.coded:
-        paragraphs.append(
-            "Two to four photos of the same motion through known codes would tell its direction and order in time, and "
-            "the error of the path: cep calibration-set designs the codes. Once a coded photo is taken, cep refine "
-            "improves the path by it."
-        )
-    warnings = [*chain.scene.warnings, *estimate.warnings]
-    if estimate.confidence < _SURE:
-        warnings.append("The confidence is low: everything on this page builds on a motion that may be wrong.")
-    others = tuple(
-        (f"alternative {i}", weight, path.length_px, path_distance_px(path, motion))
-        for i, (weight, path) in enumerate(zip(estimate.weights[1:], estimate.trajectories[1:], strict=True), 1)
-    )
-    tables: tuple[Table, ...] = ()
-    if others:
-        rows = (("most likely", estimate.weights[0], motion.length_px, 0.0), *others)
-        note = "Other paths that explain the blurred photo."
-        tables = (Table(("path", "probability", "length, px", "distance, px"), rows, highlight=0, note=note),)
-    return Section(
-        "Motion",
-        tuple(paragraphs),
-        tables,
-        (
-            picture(
-                trajectory_figure(chain.scene.photo, motion),
-                "The photo and the estimated motion. Dots mark equal steps of time: where they crowd, the camera "
-                "dwelt.",
-                "blurred photo with the motion path, and the path enlarged, coloured by time",
-            ),
-            picture(
-                psf_figure(psfs),
-                "Point spread functions: what a point of light becomes.",
-                "point spread functions side by side",
-            ),
-        ),
-        tuple(warnings),
-    )
-
-
 # -- exposure ---------------------------------------------------------------------------------------------------------
 
 
@@ -559,16 +490,19 @@ def _commands(chain: Chain, options: str) -> Section:
     along = " ".join(
         filter(None, ("--trajectory motion/trajectory.json", f"--chips {count} --exposure {exposure}", options))
     )
-    commands = ["cep calibrate blurred.png -o motion", f"cep advise {along}"]
+    commands = [f"cep calibrate {_calibration(chain)} -o motion", f"cep advise {along}"]
     kept = "The folder of this page holds the blurred photo and the motion (trajectory.json, psf.npy, psf.mat)."
     if chain.coded:
-        opened = "1" * count
+        refine = (
+            f"cep refine blurred.png coded.png --code {'1' * count} --code code.json "
+            "--trajectory motion/trajectory.json -o refined.json"
+        )
+        path = "motion/trajectory.json" if chain.found.codes else "refined.json"
         commands += [
             f"cep optimize {along} -o code.json",
             "cep upload code.json --port auto --arm",
-            f"cep refine blurred.png coded.png --code {opened} --code code.json --trajectory motion/trajectory.json "
-            "-o refined.json",
-            "cep deblur coded.png --trajectory refined.json --code code.json -o sharp.png",
+            *([] if chain.found.codes else [refine]),
+            f"cep deblur coded.png --trajectory {path} --code code.json -o sharp.png",
         ]
         kept += " It also holds the code (code.json) and the shutter program (shutter_code.h, .csv and .json)."
     elif chain.choice == "open":
@@ -577,6 +511,15 @@ def _commands(chain: Chain, options: str) -> Section:
         commands.append("cep deblur shorter.png -o sharp.png")
     again = "cep demo --photo FILE makes this page of a blurred photo of yours, --camera NAME of another camera."
     return Section("With your own camera", (kept, again), commands=tuple(commands))
+
+
+def _calibration(chain: Chain) -> str:
+    """Photos and codes of the calibration, as on a command line."""
+    if not chain.found.codes:
+        return "blurred.png"
+    codes = " ".join(f"--code {'open' if code.duty == 1 else code.bits}" for code in chain.found.codes)
+    photos = " ".join(f"calibration_{i}.png" for i in range(2, len(chain.found.codes) + 1))
+    return f"blurred.png {photos} {codes}"
 
 
 def _two(value: float) -> str:

@@ -19,14 +19,16 @@ from hw.program import Program
 __all__ = ["DEMO_FILES", "write_demo"]
 
 _PHOTOS = {"blurred.png": "open", "coded.png": "coded"}
+_SET = ("calibration_2.png", "calibration_3.png", "calibration_4.png")
 _RESTORED = {"restored_open.png": "open", "restored_snapshot.png": "snapshot", "restored_coded.png": "coded"}
 _PROGRAMS = {f"shutter_code{exporter.suffix}": file_format for file_format, exporter in EXPORTERS.items()}
 _OF_A_CODE = ("code.json", "coded.png", "restored_coded.png", "code_strip.png", *_PROGRAMS)
 DEMO_FILES = (
-    "report.html", "demo.json", "code.json", *(f"{name}.png" for name in DEMO_PICTURES), *_PHOTOS, *_RESTORED,
-    *_PROGRAMS, *CALIBRATION_FILES,
+    "report.html", "demo.json", "code.json", *(f"{name}.png" for name in DEMO_PICTURES), *_PHOTOS, *_SET,
+    *_RESTORED, *_PROGRAMS, *CALIBRATION_FILES,
 )  # fmt: skip
-"""What :func:`write_demo` writes; the code, its programs and pictures only where a code is advised."""
+"""What :func:`write_demo` writes; the code, its programs and pictures only where a code is advised, the
+further photos of the calibration only where they were taken."""
 
 
 def write_demo(folder: Path | str, chain: Chain, *, options: str = "", force: bool = False) -> Mapping[str, object]:
@@ -56,6 +58,8 @@ def write_demo(folder: Path | str, chain: Chain, *, options: str = "", force: bo
         source = {"image": chain.scene.name, "seed": chain.seed}
         write_calibration(made, chain.estimate, chain.scene.photo, source=source)
         write_image(made / "blurred.png", chain.scene.photo, bits=16)
+        for name, photo in zip(_SET, chain.found.photos[1:], strict=False):
+            write_image(made / name, photo, bits=16)
         for name, kind in _RESTORED.items():
             if (shot := chain.shot(kind)) is not None and (chain.coded or name not in _OF_A_CODE):
                 write_image(made / name, shot.restored)
@@ -92,7 +96,9 @@ def _figures(chain: Chain) -> dict[str, object]:
         "method": chain.estimate.method,
         "length_px": chain.estimate.best.length_px,
         "confidence": chain.estimate.confidence,
-        "path_uncertainty_px": None if chain.refinement is None else chain.refinement.uncertainty_px,
+        "path_uncertainty_px": chain.estimate.details.get("path_uncertainty_px"),
+        "calibration_codes": [code.bits for code in chain.found.codes],
+        "open_photo_alone": _open_photo_alone(chain),
         "bits": None if chain.code is None else chain.code.bits,
         "chips": chain.problem.chips,
         "chip_ns": chain.problem.chip_ns,
@@ -100,4 +106,16 @@ def _figures(chain: Chain) -> dict[str, object]:
         "device": None if chain.device is None else chain.device.name,
         "seed": chain.seed,
         "warnings": [*chain.scene.warnings, *chain.estimate.warnings],
+    }
+
+
+def _open_photo_alone(chain: Chain) -> dict[str, object] | None:
+    """Figures of what the calibration photo with an open shutter would have given without the others."""
+    if chain.alone is None or chain.found.alone is None:
+        return None
+    return {
+        "length_px": chain.found.alone.best.length_px,
+        "confidence": chain.found.alone.confidence,
+        "bits": chain.alone.way.code.bits,
+        "psnr_db": chain.alone.psnr_db,
     }

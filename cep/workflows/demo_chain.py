@@ -1,4 +1,4 @@
-"""The chain itself: one blurred photo in, motion, verdict, exposures, restorations and, where it pays, a code out."""
+"""The chain itself: photos of a motion in, verdict, exposures, restorations and, where it pays, a code out."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from cep.optics.exposure import coded_psf
 from cep.optics.path_limits import check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
 from cep.restoration import Restoration, restore
+from cep.search.order_codes import gray_planes
 from cep.search.problem import SearchProblem
 from cep.workflows.advise import LEVELS, Advice, Choice, Way, advise, suited_chips
 from cep.workflows.calibrate import estimate_motion
-from cep.workflows.refine import Refinement, refine_motion
 from hw.device import DeviceProfile
+from hw.program import Program
 from motdiff.crops import luminance, pick_crops
-from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.motions import quadratic
 from motdiff.simulate import to_linear, visible
@@ -33,9 +34,11 @@ __all__ = [
     "EXPOSURE_S",
     "STANDARD_CAMERA",
     "Chain",
+    "FoundMotion",
     "Scene",
     "Shot",
     "bundled_scene",
+    "find_motion",
     "own_photo",
     "run_chain",
 ]
@@ -53,8 +56,9 @@ EXPOSURE_S = 1 / 30
 _MOST_CHIPS = 64
 _LARGEST_SCENE_PX = 768
 _RESTORATION = "wiener"
-_REFINED_PX = 192  # crop that the path is refined on: larger ones take longer and are little better
-_CALIBRATED, _ADVISED, _REFINED, _RESTORED = 0.42, 0.6, 0.88, 0.94  # shares of the chain's time when each is done
+_SET_PX = 192  # crop that the photos of a set are searched on: larger ones take longer and are little better
+_PLANES = 3  # photos of a set through a Gray code, beside the one with an open shutter
+_SET_FOUND, _FOUND, _ADVISED, _RESTORED = 0.45, 0.68, 0.82, 0.95  # shares of the time when each is done
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,28 @@ class Shot:
 
 
 @dataclass(frozen=True)
+class FoundMotion:
+    """What photos tell of a scene's motion.
+
+    Attributes
+    ----------
+    estimate : MotionEstimate
+        From all photos.
+    codes : tuple of ShutterCode
+        Through which they were taken, the open shutter first; empty where there is that photo only.
+    photos : tuple of float ndarrays, linear light
+        One for each code.
+    alone : MotionEstimate or None
+        From the photo with the open shutter alone, where there are others.
+    """
+
+    estimate: MotionEstimate
+    codes: tuple[ShutterCode, ...] = ()
+    photos: tuple[FloatArray, ...] = ()
+    alone: MotionEstimate | None = None
+
+
+@dataclass(frozen=True)
 class Chain:
     """Everything that the demo found, for its files and its report.
 
@@ -94,16 +120,15 @@ class Chain:
     exposure_s : float
     device : DeviceProfile or None
     seed : int
-    estimate : MotionEstimate
-        From the blurred photo.
+    found : FoundMotion
     problem : SearchProblem
-        Along the estimate.
+        Along the motion found.
     advice : Advice
         For this camera, over the light.
     contrast : Advice or None
         For :data:`CONTRAST`, where this camera's exposure is coded.
-    refinement : Refinement or None
-        Of the estimate by the coded photo, where there is one to take.
+    alone : Shot or None
+        What is advised along the motion that the open photo alone shows, taken and restored so.
     certificates : tuple of (str, Certificate)
         Smallest MTF of each shot's exposure, along the motion as estimated.
     reference : float ndarray
@@ -118,11 +143,11 @@ class Chain:
     exposure_s: float
     device: DeviceProfile | None
     seed: int
-    estimate: MotionEstimate
+    found: FoundMotion
     problem: SearchProblem
     advice: Advice
     contrast: Advice | None
-    refinement: Refinement | None
+    alone: Shot | None
     certificates: tuple[tuple[str, Certificate], ...]
     reference: FloatArray
     shots: tuple[Shot, ...]
@@ -144,9 +169,9 @@ class Chain:
         return self.advice.here.advised.code if self.coded else None
 
     @property
-    def motion(self) -> Trajectory:
-        """The motion that the photos are restored along."""
-        return self.estimate.best if self.refinement is None else self.refinement.trajectory
+    def estimate(self) -> MotionEstimate:
+        """The motion that the exposure is chosen for, and the photos are restored along."""
+        return self.found.estimate
 
     @property
     def advised_shot(self) -> Shot:
@@ -171,6 +196,67 @@ class Chain:
         return {kind: psnr - opened for kind, psnr in figures.items() if psnr is not None and opened is not None}
 
 
+def find_motion(
+    scene: Scene,
+    camera: Camera,
+    *,
+    exposure_s: float = EXPOSURE_S,
+    device: DeviceProfile | None = None,
+    seed: int = 0,
+    tell: Callable[[float, str], None] = lambda _fraction, _what: None,
+) -> FoundMotion:
+    """Find a scene's motion: by a set of photos through known codes where it can be photographed again.
+
+    Of one's own photo there are no others, and neither are there through a device that cannot play the codes.
+
+    Parameters
+    ----------
+    scene : Scene
+    camera : Camera
+    exposure_s, device
+        As of :func:`run_chain`.
+    seed : int
+    tell : callable
+        Called with the fraction done and what is being done.
+
+    Raises
+    ------
+    ValueError
+        If the photo shows nothing to estimate a motion from.
+    """
+
+    def blind(begin: float) -> MotionEstimate:
+        try:
+            return estimate_motion(scene.photo, progress=lambda share, what: tell(begin + (1 - begin) * share, what))
+        except ValueError as error:
+            raise ValueError(f"{scene.name}: {error}") from None
+
+    codes = _set_of_codes(exposure_s, device)
+    if scene.sharp is None or scene.motion is None or not codes:
+        return FoundMotion(blind(0.0))
+    frame = scene.motion.frame_size() | 1
+    rng = np.random.default_rng([seed, 4])
+    coded = [capture(scene.sharp, coded_psf(scene.motion, one, frame), camera=camera, rng=rng) for one in codes[1:]]
+    photos = (scene.photo, *coded)
+    row, column = pick_crops(scene.photo, size=_SET_PX, count=1)[0]
+    parts = [photo[row : row + _SET_PX, column : column + _SET_PX] for photo in photos]
+    share_of_set = _SET_FOUND / _FOUND
+    found = estimate_motion(
+        parts, codes=codes, seed=seed, progress=lambda share, what: tell(share_of_set * share, what)
+    )  # fmt: skip
+    return FoundMotion(found, codes, photos, alone=blind(share_of_set))
+
+
+def _set_of_codes(exposure_s: float, device: DeviceProfile | None) -> tuple[ShutterCode, ...]:
+    """Open shutter and bit planes of a Gray code; none where the device cannot play them."""
+    bins = 2**_PLANES
+    chip_ns = max(1, round(exposure_s / bins * 1e9))
+    planes = [ShutterCode(plane, chip_ns) for plane in gray_planes(_PLANES, bins)]
+    if device is not None and any(device.check(Program.from_bits(one.bits, chip_ns=chip_ns)) for one in planes):
+        return ()
+    return (ShutterCode(np.ones(bins), chip_ns), *planes)
+
+
 def run_chain(
     scene: Scene,
     camera: Camera,
@@ -179,7 +265,7 @@ def run_chain(
     device: DeviceProfile | None = None,
     chips: int | None = None,
     seed: int = 0,
-    estimator: Estimator | None = None,
+    found: FoundMotion | None = None,
     levels: Sequence[float] = LEVELS,
     tell: Callable[[float, str], None] = lambda _fraction, _what: None,
 ) -> Chain:
@@ -196,8 +282,8 @@ def run_chain(
     chips : int, optional
         When omitted one for each px of the path, at most 64; with a device as many as pay.
     seed : int
-    estimator : Estimator, optional
-        The blind one when omitted.
+    found : FoundMotion, optional
+        By :func:`find_motion` when omitted.
     levels : sequence of float
         Photo-electrons at full scale at which the ways to expose are compared, besides the camera's own.
     tell : callable
@@ -210,18 +296,21 @@ def run_chain(
     """
     clock = _Clock(tell)
     clock.begin(0.0, "estimating the motion")
-    try:
-        estimate = estimate_motion(
-            scene.photo, method=estimator or "motdiff", progress=lambda share, what: tell(_CALIBRATED * share, what)
-        )
-    except ValueError as error:
-        raise ValueError(f"{scene.name}: {error}") from None
+    if found is None:
+        found = find_motion(
+            scene, camera, exposure_s=exposure_s, device=device, seed=seed,
+            tell=lambda share, what: tell(_FOUND * share, what),
+        )  # fmt: skip
+    estimate = found.estimate
 
-    clock.begin(_CALIBRATED, "comparing exposures")
-    problem = _problem(estimate, camera, exposure_s=exposure_s, device=device, chips=chips, seed=seed)
+    def problem_along(one: MotionEstimate, count: int | None) -> SearchProblem:
+        return _problem(one, camera, exposure_s=exposure_s, device=device, chips=count, seed=seed)
+
+    clock.begin(_FOUND, "comparing exposures")
+    problem = problem_along(estimate, chips)
     advice = advise(
         problem, levels=levels, seed=seed,
-        progress=lambda share, what: tell(_CALIBRATED + 0.8 * (_ADVISED - _CALIBRATED) * share, what),
+        progress=lambda share, what: tell(_FOUND + 0.8 * (_ADVISED - _FOUND) * share, what),
     )  # fmt: skip
     contrast = None
     if advice.choice in ("strobe", "code"):
@@ -234,29 +323,28 @@ def run_chain(
     sharp, truth = _sharp_scene(scene, estimate)
     frame = truth.frame_size() | 1
     rng = np.random.default_rng([seed, 3])
-    photos = {
-        kind: capture(sharp, coded_psf(truth, way.code, frame), camera=camera, rng=rng)
-        for kind, way in _ways(advice).items()
-    }
-    if scene.sharp is not None:
-        photos["open"] = scene.photo
-    refinement = None
-    if contrast is not None and scene.motion is not None:
-        clock.begin(_ADVISED, "refining the motion by the coded photo")
-        refinement = _refined(
-            [photos["open"], photos["coded"]], [_ways(advice)[kind].code for kind in ("open", "coded")], estimate.best,
-            progress=lambda share, what: tell(_ADVISED + (_REFINED - _ADVISED) * share, what),
-        )  # fmt: skip
 
-    clock.begin(_REFINED, "restoring")
+    def photographed(ways: dict[str, Way]) -> dict[str, FloatArray]:
+        taken = {kind: capture(sharp, coded_psf(truth, way.code, frame), camera=camera, rng=rng)
+                 for kind, way in ways.items()}  # fmt: skip
+        return taken if scene.sharp is None else {**taken, "open": scene.photo}
+
+    clock.begin(_RESTORED, "restoring")
     reference = visible(sharp, frame)
-    motion = estimate.best if refinement is None else refinement.trajectory
     known = None if scene.motion is None else replace(scene.motion, direction="known")
-    shots = _shots(_ways(advice), photos, motion, known, camera, reference)
+    ways = _ways(advice)
+    shots = _shots(ways, photographed(ways), estimate.best, known, camera, reference)
+    alone = None
+    if found.alone is not None:
+        here = advise(problem_along(found.alone, problem.chips), levels=(), seed=seed).here
+        kind = "coded" if here.choice in ("strobe", "code") else here.choice
+        ways = {"open": here.ways[0], kind: here.advised}
+        taken = _shots(ways, photographed(ways), found.alone.best, None, camera, reference)
+        alone = next(shot for shot in taken if shot.kind == kind)
     clock.begin(1.0, "done")
     return Chain(
-        scene, camera, exposure_s, device, seed, estimate, problem, advice, contrast, refinement, certificates,
-        reference, shots, clock.laps,
+        scene, camera, exposure_s, device, seed, found, problem, advice, contrast, alone, certificates, reference,
+        shots, clock.laps,
     )  # fmt: skip
 
 
@@ -285,19 +373,6 @@ def _ways(advice: Advice) -> dict[str, Way]:
     coded = here.advised if advice.choice in ("strobe", "code") else here.best("code")
     ways = {"open": here.ways[0], "snapshot": here.best("snapshot"), "coded": coded}
     return {kind: way for kind, way in ways.items() if way is not None}
-
-
-def _refined(
-    photos: Sequence[FloatArray], codes: Sequence[ShutterCode], path: Trajectory, *,
-    progress: Callable[[float, str], None],
-) -> Refinement | None:  # fmt: skip
-    """Refine the path by the most textured part of the photos; None where a photo is too small for that."""
-    row, column = pick_crops(photos[0], size=_REFINED_PX, count=1)[0]
-    parts = [photo[row : row + _REFINED_PX, column : column + _REFINED_PX] for photo in photos]
-    try:
-        return refine_motion(parts, codes, path, progress=progress)
-    except ValueError:
-        return None
 
 
 def _sharp_scene(scene: Scene, estimate: MotionEstimate) -> tuple[FloatArray, Trajectory]:

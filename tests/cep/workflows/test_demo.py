@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -17,11 +18,20 @@ from cep.optics.code import ShutterCode
 from cep.report.demo_page import DEMO_PICTURES, demo_report, share_below_noise
 from cep.report.result_page import html
 from cep.workflows.demo import DEMO_FILES, write_demo
-from cep.workflows.demo_chain import CONTRAST, STANDARD_CAMERA, bundled_scene, own_photo, run_chain
+from cep.workflows.demo_chain import (
+    CONTRAST,
+    STANDARD_CAMERA,
+    FoundMotion,
+    bundled_scene,
+    find_motion,
+    own_photo,
+    run_chain,
+)
 from hw.device import load_profile
 from hw.export import EXPORTERS
 from motdiff.estimators.reference import ReferenceEstimator
 from motdiff.io.trajectories import read_motion
+from motdiff.metrics import timed_distance_px
 from motdiff.trajectory import Trajectory
 
 LEVELS = (1000.0,)
@@ -29,10 +39,19 @@ CODED, PLAIN = Camera.load(STANDARD_CAMERA), Camera.load(CONTRAST)
 OF_A_CODE = {"code.json", "coded.png", "restored_coded.png", "code_strip.png"}
 
 
+def small_scene(camera):
+    return bundled_scene(camera, rng=np.random.default_rng(0), side_px=288)
+
+
+def seen_once(scene):
+    """What the photo alone tells, by the estimator that needs no luck."""
+    return ReferenceEstimator(scene.sharp).estimate(scene.photo)
+
+
 def chain_of(camera, **options):
-    """Run the chain on a small part of the scene, with the estimator that needs no luck."""
-    scene = bundled_scene(camera, rng=np.random.default_rng(0), side_px=288)
-    return run_chain(scene, camera, estimator=ReferenceEstimator(scene.sharp), levels=LEVELS, **options)
+    """Run the chain on a small part of the scene, from its open photo alone."""
+    scene = small_scene(camera)
+    return run_chain(scene, camera, found=FoundMotion(seen_once(scene)), levels=LEVELS, **options)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +64,21 @@ def plain():
     return chain_of(PLAIN, chips=16)
 
 
-@pytest.fixture(scope="module", params=["coded", "plain"])
+@pytest.fixture(scope="module")
+def calibrated():
+    """A chain whose motion photos through codes told."""
+    scene = small_scene(CODED)
+    known = replace(scene.motion, direction="known")
+    alone = seen_once(scene)
+    estimate = replace(
+        alone, method="coded", trajectories=(known,), weights=(1.0,), details={"path_uncertainty_px": 0.2}
+    )
+    codes = tuple(ShutterCode(bits) for bits in ("1111", "0110"))
+    found = FoundMotion(estimate, codes, (scene.photo, 0.5 * scene.photo), alone=alone)
+    return run_chain(scene, CODED, found=found, levels=LEVELS, chips=16)
+
+
+@pytest.fixture(scope="module", params=["coded", "plain", "calibrated"])
 def either(request):
     return request.getfixturevalue(request.param)
 
@@ -97,7 +130,7 @@ def test_where_coding_pays_the_photos_show_it(coded):
 
 def test_where_it_does_not_the_snapshot_is_better(plain):
     assert plain.choice == "snapshot"
-    assert (plain.code, plain.contrast, plain.refinement) == (None, None, None)
+    assert (plain.code, plain.contrast, plain.alone) == (None, None, None)
     gains = plain.gains_db()
     assert gains["snapshot"] > max(gains["open"], gains["coded"])
 
@@ -116,12 +149,34 @@ def test_no_code_outside_the_devices_limits():
     assert "mechanical-fast" in demo_report(chain).setting
 
 
+def test_a_set_of_photos_tells_the_order(tmp_path):
+    """The bundled motion is found from photos through codes, to a fraction of a pixel at equal times."""
+    scene = small_scene(CODED)
+    told = []
+    found = find_motion(scene, CODED, tell=lambda share, _what: told.append(share))
+    assert told == sorted(told)
+    assert len(found.codes) == len(found.photos) == 4
+    assert found.codes[0].duty == 1
+    assert found.estimate.best.direction == "known"
+    assert timed_distance_px(found.estimate.best, scene.motion) < 0.5
+    assert found.alone.best.direction == "unknown"
+
+
+def test_no_set_through_a_device_that_cannot_play_it(coded, monkeypatch):
+    monkeypatch.setattr("cep.workflows.demo_chain.estimate_motion", lambda _photo, **_options: coded.estimate)
+    found = find_motion(coded.scene, CODED, exposure_s=0.002, device=load_profile("mechanical-fast"))
+    assert (found.codes, found.alone) == ((), None)
+
+
+def test_knowing_the_order_is_worth_it(calibrated):
+    assert calibrated.advised_shot.psnr_db > calibrated.alone.psnr_db + 0.3
+
+
 def test_ones_own_photo_has_no_truth(coded):
     scene = own_photo("mine.jpg", coded.scene.photo, warnings=("The transparency was dropped.",))
     told = []
     mine = run_chain(
-        scene, CODED, estimator=ReferenceEstimator(coded.scene.sharp), levels=LEVELS, chips=12,
-        tell=lambda share, _what: told.append(share),
+        scene, CODED, found=coded.found, levels=LEVELS, chips=12, tell=lambda share, _what: told.append(share)
     )  # fmt: skip
     assert (told[0], told[-1]) == (0, 1)
     assert told == sorted(told)
@@ -149,7 +204,8 @@ def test_the_band_below_the_noise_grows_with_noise_and_blur():
 def test_files_and_figures(coded, tmp_path):
     figures = write_demo(tmp_path / "out", coded)
     written = {item.name for item in (tmp_path / "out").iterdir()}
-    assert written == set(DEMO_FILES) - {"shutter_code.pulsepal.toml"}  # its ticks are 50 us
+    of_a_set = {name for name in DEMO_FILES if name.startswith("calibration")}
+    assert written == set(DEMO_FILES) - of_a_set - {"shutter_code.pulsepal.toml"}  # its ticks are 50 us
     stored = json.loads((tmp_path / "out/demo.json").read_text())
     assert stored["bits"] == coded.code.bits == figures["bits"]
     assert (stored["verdict"], stored["choice"]) == (coded.advice.here.sentence, "code")
@@ -168,6 +224,14 @@ def test_files_and_figures(coded, tmp_path):
     with pytest.raises(ValueError, match="use --force"):
         write_demo(tmp_path / "out", coded)
     write_demo(tmp_path / "out", coded, force=True)
+
+
+def test_files_of_a_set(calibrated, tmp_path):
+    figures = write_demo(tmp_path, calibrated)
+    assert figures["calibration_codes"] == ["1111", "0110"]
+    assert figures["open_photo_alone"]["psnr_db"] == calibrated.alone.psnr_db
+    assert {item.name for item in tmp_path.glob("calibration*")} == {"calibration_2.png"}
+    write_demo(tmp_path, calibrated, force=True)
 
 
 def test_no_code_is_written_where_none_is_advised(coded, plain, tmp_path):
