@@ -70,7 +70,8 @@ def demo(
         from cep.io.images import parse_gamma, read_photo
         from cep.io.outputs import claim_folder
         from cep.workflows.demo import DEMO_FILES, write_demo
-        from cep.workflows.demo_chain import EXPOSURE_S, STANDARD_CAMERA, bundled_scene, own_photo, run_chain
+        from cep.workflows.demo_chain import EXPOSURE_S, STANDARD_CAMERA, run_chain
+        from cep.workflows.demo_scene import bundled_scene, own_photo
         from hw.device import load_profile
 
         parse_gamma(gamma)

@@ -52,7 +52,7 @@ WORK = (
     "cep.workflows.mtf.mtf_curve",
     "cep.restoration.restore", "cep.jobs.engine.run_cells", "cep.bench.coded.job.measure_coded",
     "hw.drivers.finding.open_controller", "cep.workflows.playback.read_capture", "hw.emulation.uno.EmulatedUno",
-    "hw.export.csv_edges.export", "cep.workflows.demo_chain.run_chain", "cep.workflows.demo_chain.bundled_scene",
+    "hw.export.csv_edges.export", "cep.workflows.demo_chain.run_chain", "cep.workflows.demo_scene.bundled_scene",
 )  # fmt: skip
 
 

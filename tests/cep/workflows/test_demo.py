@@ -18,15 +18,8 @@ from cep.optics.code import ShutterCode
 from cep.report.demo_page import DEMO_PICTURES, demo_report, share_below_noise
 from cep.report.result_page import html
 from cep.workflows.demo import DEMO_FILES, write_demo
-from cep.workflows.demo_chain import (
-    CONTRAST,
-    STANDARD_CAMERA,
-    FoundMotion,
-    bundled_scene,
-    find_motion,
-    own_photo,
-    run_chain,
-)
+from cep.workflows.demo_chain import CONTRAST, STANDARD_CAMERA, run_chain
+from cep.workflows.demo_scene import FoundMotion, bundled_scene, find_motion, own_photo
 from hw.device import load_profile
 from hw.export import EXPORTERS
 from motdiff.estimators.reference import ReferenceEstimator
@@ -153,7 +146,7 @@ def test_a_set_of_photos_tells_the_order(tmp_path):
     """The bundled motion is found from photos through codes, to a fraction of a pixel at equal times."""
     scene = small_scene(CODED)
     told = []
-    found = find_motion(scene, CODED, tell=lambda share, _what: told.append(share))
+    found = find_motion(scene, CODED, exposure_s=0.03, tell=lambda share, _what: told.append(share))
     assert told == sorted(told)
     assert len(found.codes) == len(found.photos) == 4
     assert found.codes[0].duty == 1
@@ -163,7 +156,7 @@ def test_a_set_of_photos_tells_the_order(tmp_path):
 
 
 def test_no_set_through_a_device_that_cannot_play_it(coded, monkeypatch):
-    monkeypatch.setattr("cep.workflows.demo_chain.estimate_motion", lambda _photo, **_options: coded.estimate)
+    monkeypatch.setattr("cep.workflows.demo_scene.estimate_motion", lambda _photo, **_options: coded.estimate)
     found = find_motion(coded.scene, CODED, exposure_s=0.002, device=load_profile("mechanical-fast"))
     assert (found.codes, found.alone) == ((), None)
 
