@@ -73,7 +73,7 @@ class Camera:
     [0.0, 0.6666666666666666, 1.0]
     >>> dim = Camera.load("sony-imx250").at(500, exposure_s=0.01)
     >>> print(f"{dim.photons_full_scale:g} e-, read noise {dim.read_noise_e:g} e-, {dim.code_steps:.0f} code values")
-    500 e-, read noise 2.4 e-, 191 code values
+    500 e-, read noise 2.4 e-, 189 code values
     """
 
     photons_full_scale: float = 10_000.0
@@ -127,12 +127,16 @@ class Camera:
 
     @property
     def saturation_e(self) -> float:
-        """Electrons at which the pixel or its code range is full, whichever is first; infinite where neither is known.
+        """Electrons, of light and dark current, at which the pixel or its code range is full, whichever is first.
 
-        A light level above it cannot be recorded: expose for less.
+        The pedestal is added after the pixel: it takes from the code range and not from the full well. Infinite where
+        neither is known. A light level above it cannot be recorded: expose for less.
         """
-        code_range_e = math.inf if self.gain_e_per_dn is None else self.gain_e_per_dn * (2**self.bits - 1)
-        return min(math.inf if self.full_well_e is None else self.full_well_e, code_range_e)
+        full_well_e = math.inf if self.full_well_e is None else self.full_well_e
+        if self.gain_e_per_dn is None:
+            return full_well_e
+        pedestal_e = self.black_level * self.photons_full_scale
+        return min(full_well_e, max(self.gain_e_per_dn * (2**self.bits - 1) - pedestal_e, 0.0))
 
     def at(self, photons: float, *, exposure_s: float | None = None) -> Camera:
         """Return the camera at a light level.
