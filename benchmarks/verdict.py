@@ -4,7 +4,7 @@
     python benchmarks/verdict.py check [--captures 1000] [--workers 2]
 
 `map`: gain of the best code over the best single exposure, dB, 40 chips, direction known, along a straight motion of
-40 px and along random walks of 60 px (the median of so many), known exactly or to 0.25 px. `check`: twelve cases of
+40 px and along random walks of 60 px (the median of so many), known exactly or to 0.25 px. `check`: fifteen cases of
 motion, camera and light; the best snapshot and the best code are photographed so often, each time of another scene of
 the reference spectrum, and restored by a Wiener filter: the gain so measured beside the expected one.
 """
@@ -105,10 +105,13 @@ def check_cases() -> list[tuple[str, Trajectory, Camera]]:
         "arc": quadratic(rng, min_length_px=24, max_length_px=30, max_bend=1.5),
         "walk of 40 px": boracchi_foi(rng, max_length_px=40.0),
     }
-    light = ((10_000.0, 2.0), (10_000.0, 50.0), (100_000.0, 200.0), (1_000.0, 10.0))
+    light = (
+        (10_000.0, 2.0, 0.0), (10_000.0, 50.0, 0.0), (100_000.0, 200.0, 0.0), (1_000.0, 10.0, 0.0),
+        (10_000.0, 2.0, 100_000.0),
+    )  # fmt: skip
     return [
-        (name, path, Camera(photons_full_scale=photons, read_noise_e=read_noise, bits=16))
-        for name, path in paths.items() for photons, read_noise in light
+        (name, path, Camera(photons_full_scale=photons, read_noise_e=read_noise, dark_current_e_s=dark, bits=16))
+        for name, path in paths.items() for photons, read_noise, dark in light
     ]  # fmt: skip
 
 
@@ -134,9 +137,10 @@ def squared_errors(path: Trajectory, code: ShutterCode, camera: Camera, captures
     here = BandSamples(fx, fy, np.full(fx.size, 1 / fx.size), (fx**2 + fy**2)[:, None], np.ones((fx.size, 1)))
     inverse = inverse_scene(here)[:, 0].reshape(SIDE, SIDE)
     otf = coded_otf(path, code, fx, fy).reshape(SIDE, SIDE)
-    noise = noise_variance(camera, code.duty)
+    noise = noise_variance(camera, code.duty, integration_s=code.integration_ns * 1e-9)
     wiener = np.conj(otf) / (np.abs(otf) ** 2 + noise * inverse)
     photons, read_sigma = camera.photons_full_scale, camera.noise["read_sigma"]
+    dark_e = float(camera.dark_e(code.integration_ns * 1e-9))
     scenes, capture = np.random.default_rng([seed, 1]), np.random.default_rng([seed, 2, code.open_chips])
     draw = scenes_of(inverse)
     errors = []
@@ -144,6 +148,7 @@ def squared_errors(path: Trajectory, code: ShutterCode, camera: Camera, captures
         spectrum = np.fft.fft2(draw(scenes) - SCENE_MEAN)
         blurred = np.maximum(np.fft.ifft2(spectrum * otf).real + SCENE_MEAN * code.duty, 0)
         taken = capture.poisson(photons * blurred) / photons + read_sigma * capture.standard_normal(blurred.shape)
+        taken += (capture.poisson(dark_e, blurred.shape) - dark_e) / photons
         restored = np.fft.fft2(taken - SCENE_MEAN * code.duty) * wiener
         errors.append((np.abs(restored - spectrum) ** 2).mean() / SIDE**2)
     return np.array(errors)
@@ -165,14 +170,15 @@ def scenes_of(inverse: FloatArray) -> Callable[[np.random.Generator], FloatArray
 def check(captures: int, run: Callable[..., Iterable[tuple[float, float, float]]]) -> None:
     cases = check_cases()
     print("gain of the best code over the best single exposure, dB, 24 chips")
-    print("| motion | photo-electrons | read noise, e- | expected | simulated | difference |")
-    print("|---|---:|---:|---:|---:|---:|")
+    print("| motion | photo-electrons | read noise, e- | dark current, e-/s | expected | simulated | difference |")
+    print("|---|---:|---:|---:|---:|---:|---:|")
     worst = 0.0
     for (name, _, camera), found in zip(cases, run(checked, [(i, captures) for i in range(len(cases))]), strict=True):
         expected, gain, spread = found
         worst = max(worst, abs(gain - expected))
         print(
-            f"| {name} | {camera.photons_full_scale:,.0f} | {camera.read_noise_e:g} | {expected:.2f} | "
+            f"| {name} | {camera.photons_full_scale:,.0f} | {camera.read_noise_e:g} | "
+            f"{camera.dark_current_e_s:,.0f} | {expected:.2f} | "
             f"{gain:.2f} ± {spread:.2f} | {gain - expected:+.2f} |",
             flush=True,
         )

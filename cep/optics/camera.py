@@ -58,7 +58,8 @@ class Camera:
         Electrons per code value. With it code values are multiples of ``gain_e_per_dn / photons_full_scale``, whatever
         the light level. Without it all code values lie within 0..1, as if the gain followed the light.
     dark_current_e_s : float
-        Dark current, electrons per pixel and second. Its noise counts in :meth:`at`; its mean is taken as subtracted.
+        Dark current, electrons per pixel and second. Its noise counts where the time is known for which the sensor
+        integrates it: in :meth:`at` and :meth:`noise_variance`. Its mean is taken as subtracted, but fills the well.
     least_exposure_s : float
         Shortest exposure of the camera's own shutter; 0 where that is not known.
 
@@ -136,7 +137,7 @@ class Camera:
         if self.gain_e_per_dn is None:
             return full_well_e
         pedestal_e = self.black_level * self.photons_full_scale
-        return min(full_well_e, max(self.gain_e_per_dn * (2**self.bits - 1) - pedestal_e, 0.0))
+        return min(full_well_e, max(self.gain_e_per_dn * float(2**self.bits - 1) - pedestal_e, 0.0))
 
     def at(self, photons: float, *, exposure_s: float | None = None) -> Camera:
         """Return the camera at a light level.
@@ -166,8 +167,16 @@ class Camera:
             return camera
         if not (math.isfinite(time_s := _number("exposure_s", exposure_s)) and time_s > 0):
             raise ValueError(f"exposure_s: must be above 0 seconds, got {time_s:g}")
-        noise_e = math.sqrt(self.read_noise_e**2 + self.dark_current_e_s * time_s)
-        return replace(camera, read_noise_e=noise_e, dark_current_e_s=0.0)
+        return camera.with_dark_noise(time_s)
+
+    def with_dark_noise(self, integration_s: float) -> Camera:
+        """Return the camera with the noise of so many seconds of dark current in its read noise, and no more of it."""
+        noise_e = math.sqrt(self.read_noise_e**2 + float(self.dark_e(integration_s)))
+        return replace(self, read_noise_e=noise_e, dark_current_e_s=0.0)
+
+    def dark_e(self, integration_s: ArrayLike) -> FloatArray:
+        """Electrons of dark current after (...) seconds: their mean, and the variance of their number."""
+        return np.asarray(self.dark_current_e_s * np.asarray(integration_s, dtype=np.float64))
 
     # -- noise --------------------------------------------------------------------------------------------------
 
@@ -177,12 +186,15 @@ class Camera:
         read_sigma = self.read_noise_e / self.photons_full_scale
         return {"photons_full_scale": self.photons_full_scale, "read_sigma": read_sigma}
 
-    def noise_variance(self, signal: ArrayLike) -> FloatArray:
-        """Variance of a pixel whose mean is ``signal``: shot + read + quantisation, in full-scale units squared.
+    def noise_variance(self, signal: ArrayLike, *, integration_s: ArrayLike = 0.0) -> FloatArray:
+        """Variance of a pixel whose mean is ``signal``: shot + read + dark + quantisation, in full-scale units squared.
 
         Parameters
         ----------
         signal : (...) array_like, linear light 0..1
+        integration_s : (...) array_like
+            Seconds for which dark current is integrated, as :attr:`cep.optics.code.ShutterCode.integration_ns` says;
+            at 0 it is not counted.
 
         Returns
         -------
@@ -191,7 +203,8 @@ class Camera:
         light = np.clip(np.asarray(signal, dtype=np.float64), 0.0, 1.0)
         shot = light / self.photons_full_scale
         step = self._code_slope(light) / self.code_steps
-        return np.asarray(shot + self.noise["read_sigma"] ** 2 + step**2 / 12, dtype=np.float64)
+        dark = self.dark_e(integration_s) / self.photons_full_scale**2
+        return np.asarray(shot + self.noise["read_sigma"] ** 2 + dark + step**2 / 12, dtype=np.float64)
 
     def expose(self, light: ArrayLike, *, rng: np.random.Generator) -> FloatArray:
         """Record ``light``: Poisson shot noise, Gaussian read noise, clipping, rounding to code values.

@@ -42,6 +42,8 @@ class ShutterCode:
     (8, 5, 0.625, 3)
     >>> code.runs
     ((1, 3), (0, 2), (1, 1), (0, 1), (1, 1))
+    >>> code.integration_ns, ShutterCode("01110000").integration_ns
+    (8000000, 3000000)
 
     Lists and arrays will do as well:
 
@@ -95,6 +97,14 @@ class ShutterCode:
     def duration_ns(self) -> int:
         """Length of the exposure, ns."""
         return self.chips * self.chip_ns
+
+    @property
+    def integration_ns(self) -> int:
+        """Time for which a sensor integrates dark current, ns.
+
+        A single opening is an exposure of its own, and no longer than that. Any other code takes the whole exposure.
+        """
+        return self.chip_ns * (self.open_chips if self.pulses == 1 else self.chips)
 
     @property
     def array(self) -> FloatArray:

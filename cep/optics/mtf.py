@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cep.optics.band import BandSamples
 from cep.optics.camera import Camera
@@ -46,9 +46,12 @@ def chip_noise_db(code: ShutterCode) -> float:
         return float(10 * np.log10(weight @ (1 / power) / size))
 
 
-def noise_variance(camera: Camera, duty: float) -> float:
-    """Variance per pixel of a photo of the reference scene through a shutter open for ``duty`` of the exposure."""
-    return float(camera.noise_variance(SCENE_MEAN * duty))
+def noise_variance(camera: Camera, duty: ArrayLike, *, integration_s: ArrayLike = 0.0) -> FloatArray:
+    """Variance per pixel of photos of the reference scene through shutters open for (...) ``duty`` of the exposure.
+
+    Dark current counts for ``integration_s``, as :meth:`cep.optics.camera.Camera.noise_variance` has it.
+    """
+    return camera.noise_variance(SCENE_MEAN * np.asarray(duty, dtype=np.float64), integration_s=integration_s)
 
 
 @lru_cache(maxsize=1)

@@ -104,7 +104,7 @@ def measure(
     trajectory : Trajectory
     code : ShutterCode
     camera : Camera, optional
-        For ``mse_db``; ``Camera()`` when omitted.
+        For ``mse_db``; ``Camera()`` when omitted. Its dark current counts for the code's integration time.
     budget : int
         Largest number of frequencies evaluated for the lower bound of the minimum.
     response : ShutterResponse, optional
@@ -127,7 +127,8 @@ def measure(
     mean = float(samples.weight @ modulus)
     with np.errstate(divide="ignore"):
         noise_gain_db = float(10 * np.log10(samples.weight @ (1 / np.where(modulus < _ZERO, 0.0, modulus) ** 2)))
-    mse = wiener_mse(modulus**2, samples, noise_variance(camera or Camera(), duty))
+    noise = noise_variance(camera or Camera(), duty, integration_s=code.integration_ns * 1e-9)
+    mse = wiener_mse(modulus**2, samples, float(noise))
     return CodeMetrics(
         min_mtf=lowest,
         min_mtf_lower=min(minimum.lower, lowest),

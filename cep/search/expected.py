@@ -12,12 +12,13 @@ from cep.optics.band import BandSamples, band_samples, grid_samples, straight_ax
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import inverse_scene, noise_variance
+from cep.optics.response import ShutterResponse
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario, scenario_rows
 from motdiff.motions import with_smooth_error
 from motdiff.trajectory import Trajectory
 
-__all__ = ["WORTH_DB", "equal_light_noise", "expected_psnr_db", "light_noise"]
+__all__ = ["WORTH_DB", "equal_light_noise", "expected_psnr_db", "light_noise", "open_share"]
 
 FloatArray = NDArray[np.float64]
 
@@ -30,18 +31,29 @@ _INTERVALS = 128  # a side
 _TOLERANCE_PX = 0.003  # of a path of thousands of samples, which takes as many times as long
 
 
-def light_noise(camera: Camera, chips: int) -> FloatArray:
-    """Variance of the noise by number of open chips, (n + 1,): the light falls with them."""
-    return np.array([noise_variance(camera, k / chips) for k in range(chips + 1)])
+def open_share(codes: Sequence[ShutterCode], response: ShutterResponse | None = None) -> FloatArray:
+    """Share of the exposure that each code lets in, (R,), with the shutter's ramps where there are any."""
+    chips = np.array([code.array for code in codes])
+    return np.asarray(chips.mean(axis=1) if response is None else response.open_time(chips), dtype=np.float64)
 
 
-def equal_light_noise(camera: Camera, chips: int) -> FloatArray:
-    """Variance of the noise by number of open chips, (n + 1,), where a brighter lamp makes up for the closed ones.
+def light_noise(camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None) -> FloatArray:
+    """Variance of the noise through each code, (R,): the light falls with the open time.
 
-    A pixel collects as many photo-electrons through every code as with the shutter open, and has the same noise. It is
-    given relative to what the lamp would give an open shutter, as the OTF is.
+    Dark current counts for each code's integration time.
     """
-    return noise_variance(camera, 1.0) * (np.arange(chips + 1) / chips) ** 2
+    return noise_variance(camera, open_share(codes, response), integration_s=_integration_s(codes))
+
+
+def equal_light_noise(
+    camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None
+) -> FloatArray:
+    """Variance of the noise through each code, (R,), where a brighter lamp makes up for the closed time.
+
+    A pixel collects as many photo-electrons through every code as with the shutter open, and has the same photon noise.
+    It is given relative to what the lamp would give an open shutter, as the OTF is.
+    """
+    return noise_variance(camera, 1.0, integration_s=_integration_s(codes)) * open_share(codes, response) ** 2
 
 
 def expected_psnr_db(
@@ -64,8 +76,8 @@ def expected_psnr_db(
     problem : SearchProblem
         Its motions, directions and shutter; its objective and camera do not matter.
     codes : sequence of ShutterCode
-    noise : (L, n + 1) array_like
-        Variance by number of open chips, as :func:`light_noise` and :func:`equal_light_noise` give it, for L cases.
+    noise : (L, R) array_like
+        Variance through each code, as :func:`light_noise` and :func:`equal_light_noise` give it, for L cases.
     path_error_px : float
         Rms over time, smooth; see :func:`motdiff.motions.with_smooth_error`.
     rng : numpy Generator, optional
@@ -81,10 +93,7 @@ def expected_psnr_db(
     if not problem.scenarios:
         raise ValueError("scenarios: need a motion to expect a restoration along")
     chips = np.array([code.array for code in codes], dtype=np.float64)
-    cases = np.atleast_2d(np.asarray(noise, dtype=np.float64))
-    opened = chips.mean(axis=1) if problem.response is None else problem.response.open_time(chips)
-    counts = np.arange(problem.chips + 1)
-    variances = np.stack([np.interp(opened * problem.chips, counts, case) for case in cases], axis=1)
+    variances = np.atleast_2d(np.asarray(noise, dtype=np.float64)).T
     rng = np.random.default_rng(0) if rng is None else rng
     errors_db = np.full((len(problem.scenarios), *variances.shape), -np.inf)
     for index, scenario in enumerate(problem.scenarios):
@@ -148,6 +157,10 @@ def _near(path: Trajectory, error_px: float, rng: np.random.Generator) -> Iterat
 
 def _at_chips(path: Trajectory, chips: int) -> FloatArray:
     return path.at((np.arange(chips) + 0.5) / chips)
+
+
+def _integration_s(codes: Sequence[ShutterCode]) -> FloatArray:
+    return np.array([code.integration_ns for code in codes]) * 1e-9
 
 
 def _otf(problem: SearchProblem, scenario: Scenario, chips: FloatArray, samples: BandSamples) -> NDArray[np.complex128]:

@@ -62,7 +62,8 @@ class Objective:
     priors, shares_across : (F, Q) ndarray
         Inverse scene spectrum at each column's radii, and the shares of these.
     noise : (n + 1,) ndarray
-        Variance of the noise by number of open chips.
+        Variance of the noise by number of open chips, with the dark current of the whole exposure; see
+        :meth:`noise_of`.
     scenario_shares : (scenarios,) ndarray
     """
 
@@ -95,9 +96,10 @@ class Objective:
         self.parts = tuple(parts)
         self.shares_across: RealArray = _stacked([part.samples.radius2_weight for part in parts]).astype(dtype)
         self.priors: RealArray = _stacked([inverse_scene(part.samples) for part in parts]).astype(dtype)
-        self.noise = np.array(
-            [noise_variance(problem.camera, k / problem.chips) for k in range(problem.chips + 1)], dtype=np.float64
-        )
+        counts, chip_s = np.arange(problem.chips + 1), problem.chip_ns * 1e-9
+        duties = counts / problem.chips
+        self.noise = noise_variance(problem.camera, duties, integration_s=problem.chips * chip_s)
+        self._noise_of_one = noise_variance(problem.camera, duties, integration_s=counts * chip_s)
         shares = np.array([s.weight for s in problem.scenarios] or [1.0])
         self.scenario_shares: NDArray[np.float64] = shares / shares.sum()
 
@@ -125,20 +127,32 @@ class Objective:
         response = self.problem.response
         return np.asarray(codes.mean(axis=1) if response is None else response.open_time(codes), dtype=np.float64)
 
-    def cost(self, otf: RealArray, duty: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Cost (R,) in dB, lower is better, of (R, 2, F) OTFs whose codes are open for (R,) of the time."""
-        each = self._each(otf, duty)
+    def noise_of(self, codes: RealArray) -> NDArray[np.float64]:
+        """(R,) variance of the noise through (R, n) codes; that of a single opening has its own dark current alone."""
+        chips, on = self.problem.chips, np.asarray(codes) != 0
+        single = on[:, 0] + (on[:, 1:] & ~on[:, :-1]).sum(axis=1) == 1
+        opened, counts = self.duty(codes) * chips, np.arange(chips + 1)
+        return np.where(single, np.interp(opened, counts, self._noise_of_one), np.interp(opened, counts, self.noise))
+
+    def cost(
+        self, otf: RealArray, duty: NDArray[np.float64], noise: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """Cost (R,) in dB, lower is better, of (R, 2, F) OTFs whose codes are open for (R,) of the time.
+
+        The variance (R,) of the noise is that of :attr:`noise` when omitted, as for codes of many openings.
+        """
+        each = self._each(otf, duty, noise)
         if self.problem.rule == "mean":
             return np.asarray(self.scenario_shares @ each, dtype=np.float64)
         return np.asarray(each.max(axis=0), dtype=np.float64)
 
     def each_cost_of(self, codes: RealArray) -> NDArray[np.float64]:
         """Cost (scenarios, R), dB, of (R, n) codes on every scenario, in its worse direction."""
-        return self._each(self.otf(codes), self.duty(codes))
+        return self._each(self.otf(codes), self.duty(codes), self.noise_of(codes))
 
     def cost_of(self, codes: RealArray) -> NDArray[np.float64]:
         """Cost (R,) of (R, n) codes."""
-        return self.cost(self.otf(codes), self.duty(codes))
+        return self.cost(self.otf(codes), self.duty(codes), self.noise_of(codes))
 
     def exact_cost(self, code: ShutterCode) -> float:
         """Cost of one code with every minimum taken over the continuum; meant for the finest samples and float64.
@@ -156,21 +170,27 @@ class Objective:
                 found = max(continuum_minimum(self.problem, way, code), 1e-3 * modulus[deepest])
                 # the deepest sample stands for the continuum between it and its neighbours
                 otf[0, :, part.columns.start + deepest] *= min(found / max(modulus[deepest], 1e-300), 1.0)
-        return float(self.cost(otf, self.duty(chips))[0])
+        return float(self.cost(otf, self.duty(chips), self.noise_of(chips))[0])
 
-    def _each(self, otf: RealArray, duty: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _each(
+        self, otf: RealArray, duty: NDArray[np.float64], noise: NDArray[np.float64] | None
+    ) -> NDArray[np.float64]:
+        if noise is None:
+            noise = np.interp(duty * self.problem.chips, np.arange(self.problem.chips + 1), self.noise)
         squared = otf * otf
         power = np.maximum(squared[:, 0] + squared[:, 1], 1e-30)
         worst = np.full((self.scenario_shares.size, len(power)), -np.inf)
         for index, part in enumerate(self.parts):
             total = sum(
-                weight * self._decibels(name, power[:, part.columns], index, duty)
+                weight * self._decibels(name, power[:, part.columns], index, duty, noise)
                 for name, weight in self.problem.objective_mix
             )
             worst[part.scenario] = np.maximum(worst[part.scenario], total)
         return worst
 
-    def _decibels(self, name: str, power: RealArray, part: int, duty: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _decibels(
+        self, name: str, power: RealArray, part: int, duty: NDArray[np.float64], noise: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         columns = self.parts[part].columns
         weight = self.parts[part].samples.weight.astype(power.dtype)
         if name == "min-mtf":
@@ -181,9 +201,7 @@ class Objective:
             mean_power, mean = (power @ weight).astype(np.float64), (np.sqrt(power) @ weight).astype(np.float64)
             value = np.maximum(mean_power - mean**2, 1e-12) / duty**2
         else:
-            chips = self.problem.chips
-            noise = np.interp(duty * chips, np.arange(chips + 1), self.noise).astype(power.dtype)[:, None]
-            per_noise, prior = power / noise, self.priors[columns]
+            per_noise, prior = power / noise.astype(power.dtype)[:, None], self.priors[columns]
             shares = self.shares_across[columns]
             errors = sum(shares[:, q] / (per_noise + prior[:, q]) for q in range(shares.shape[1]))
             value = (errors @ weight).astype(np.float64)

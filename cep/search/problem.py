@@ -176,12 +176,6 @@ class SearchProblem:
         paths = (motion if isinstance(motion, Trajectory) else motion.best for motion in motions)
         return cls(chips=chips, scenarios=tuple(Scenario(path) for path in paths), open_range=open_range, **options)
 
-    def with_dark_noise(self) -> SearchProblem:
-        """Return the problem with the noise of the exposure's dark current in its camera's read noise."""
-        dark_e2 = self.camera.dark_current_e_s * self.chips * self.chip_ns * 1e-9
-        noise_e = float(np.hypot(self.camera.read_noise_e, np.sqrt(dark_e2)))
-        return replace(self, camera=replace(self.camera, read_noise_e=noise_e, dark_current_e_s=0.0))
-
     @property
     def on_circle(self) -> bool:
         """Whether the code's polynomial alone decides: one uniform straight motion, chips on time, no ramps.
@@ -253,15 +247,16 @@ class SearchProblem:
     def measure(self, code: ShutterCode, *, budget: int = 20_000) -> CodeMetrics:
         """Worst of each figure over all scenarios and directions; on the unit circle, along ``chips`` px straight.
 
-        The shutter opens and closes by :attr:`response`, and the chips are played at each scenario's edges.
+        The shutter opens and closes by :attr:`response`, and the chips are played at each scenario's edges. They last
+        as long as the problem's, whatever the code says.
         """
         if code.chips != self.chips:
             raise ValueError(f"code: must have {self.chips} chips, got {code.chips}")
-        found = []
+        found, played = [], ShutterCode(code.bits, self.chip_ns)
         for scenario, turned in self.ways() or ((Scenario(Trajectory.straight(float(self.chips))), False),):
             path = scenario.path(reversed_path=turned)
             shutter, edges = self.response, scenario.edges
-            found.append(measure(path, code, camera=self.camera, budget=budget, response=shutter, edges=edges))
+            found.append(measure(path, played, camera=self.camera, budget=budget, response=shutter, edges=edges))
         return worst_of(*found)
 
     def _check_feasible(self) -> None:

@@ -493,7 +493,7 @@ def ordinary_ways(problem: SearchProblem, *, path_error_px: float = 0.0) -> list
 
 
 def _checked(problem: SearchProblem, codes: Sequence[ShutterCode]) -> SearchProblem:
-    """Return the problem with its dark noise, where codes suit it and its camera is not full."""
+    """Return the problem, where codes suit it and its camera is not full."""
     if not problem.scenarios:
         raise ValueError("scenarios: need a motion to advise on")
     if any(code.chips != problem.chips for code in codes):
@@ -504,15 +504,19 @@ def _checked(problem: SearchProblem, codes: Sequence[ShutterCode]) -> SearchProb
             f"photons_full_scale: this camera is full at {full_e:,.0f} electrons, got a light level of {own:,.0f}; "
             "give what an exposure that it can record collects"
         )
-    return problem.with_dark_noise()
+    return problem
 
 
 def _searched(
     problem: SearchProblem, starts: Sequence[ShutterCode], *, seed: int, threads: int | None
 ) -> list[ShutterCode]:
-    """Search the code of least expected error within the limits."""
+    """Search the code of least expected error within the limits.
+
+    A snapshot may have less noise from dark current. It is charged that of a code here, or the search would end on it.
+    """
     allowed = [code for code in starts if problem.allows(code)]
-    sought = replace(problem, objective="mse")
+    whole_s = problem.chips * problem.chip_ns * 1e-9
+    sought = replace(problem, objective="mse", camera=problem.camera.with_dark_noise(whole_s))
     found = anneal(
         sought, rng=np.random.default_rng([seed, 7]), steps=_MOVES, time_s=math.inf, start=allowed, threads=threads,
         judge=Objective(sought, oversampling=_COARSE, dtype=np.float64),
@@ -530,7 +534,10 @@ def _judged(
     every = list(
         {code.bits: ShutterCode(code.bits, problem.chip_ns) for code in [ShutterCode("1" * n), *codes]}.values()
     )
-    noise = [model(camera, n) for camera in cameras for model in (light_noise, equal_light_noise)]
+    noise = [
+        model(camera, every, response=problem.response)
+        for camera in cameras for model in (light_noise, equal_light_noise)
+    ]  # fmt: skip
     psnr = expected_psnr_db(problem, every, noise=noise, path_error_px=path_error_px).reshape(len(every), -1, 2)
     allowed = [problem.allows(code) for code in every]
     if not any(allowed):
@@ -566,10 +573,10 @@ def _kind(code: ShutterCode) -> Choice:
 
 
 def _light(camera: Camera) -> str:
-    return (
-        f", at {camera.photons_full_scale:,.0f} photo-electrons at full scale "
-        f"and {camera.read_noise_e:.3g} e- of read noise"
-    )
+    light, read = f"{camera.photons_full_scale:,.0f} photo-electrons", f"{camera.read_noise_e:.3g} e- of read noise"
+    if not camera.dark_current_e_s:
+        return f", at {light} at full scale and {read}"
+    return f", at {light} at full scale, {read} and {camera.dark_current_e_s:.3g} e-/s of dark current"
 
 
 def _better(gain_db: float) -> str:

@@ -286,14 +286,13 @@ def optimize(
     how = Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)
     if not problem.scenarios:
         raise ValueError("scenarios: need a motion to compare and certify codes along")
-    lit = problem.with_dark_noise()
     motion = along or problem.scenarios[0].trajectory
     check_frame(motion)
     check_resolved(motion, problem.chips)
     designed = as_designed(motion, problem.direction)
     own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))  # one that fails does so before the search
     found = search(
-        searched_problem(lit),
+        searched_problem(problem),
         how,
         length_px=mean_length_px(problem),
         threads=threads,
@@ -302,7 +301,7 @@ def optimize(
     code = replace(found.code, chip_ns=problem.chip_ns)
     on_found(code, found)
     progress(_SEARCH_SHARE, "comparing with other codes")
-    comparison = compare(lit, code, baselines=found.baselines, figures=figures, along=motion)
+    comparison = compare(problem, code, baselines=found.baselines, figures=figures, along=motion)
     judged = verdict(problem, code, path_error_px=path_error_px)
     path = None if problem.on_circle else designed
     certificate = certify(code, path)

@@ -139,7 +139,8 @@ def cheapest(objective: Objective, code: Codes, codes: Codes, *, most: int, belo
         limit = below if found.size < most else float(costs[-1])
         left, now = np.arange(start, min(start + step, len(codes))), np.empty(0)
         for judge, otf in judges:
-            now = judge.cost(otf_nearby(judge, code, otf, codes[left]), judge.duty(codes[left]))
+            some = codes[left]
+            now = judge.cost(otf_nearby(judge, code, otf, some), judge.duty(some), judge.noise_of(some))
             left, now = left[now < limit], now[now < limit]
         found, costs = np.append(found, left), np.append(costs, now)
         order = np.argsort(costs, kind="stable")[:most]

@@ -215,8 +215,8 @@ class Judge:
         step = max(1, _NUMBERS // objectives[0].rows[0, 0].size)
         parts = []
         for batch in (codes[i : i + step] for i in range(0, len(codes), step)):
-            otf, duty = objectives[0].otf(batch), objectives[0].duty(batch)
-            parts.append(np.stack([-objective.cost(otf, duty) for objective in objectives], axis=1))
+            given = (objectives[0].otf(batch), objectives[0].duty(batch), objectives[0].noise_of(batch))
+            parts.append(np.stack([-objective.cost(*given) for objective in objectives], axis=1))
         return np.concatenate(parts) if parts else np.empty((0, len(objectives)))
 
     def _minimum(self, code: ShutterCode) -> float:

@@ -10,8 +10,9 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
 from cep.optics.mtf import inverse_scene, noise_variance
-from cep.proofs.measure import measure_worst
+from cep.proofs.measure import measure, measure_worst
 from cep.search.expected import equal_light_noise, expected_psnr_db, light_noise
+from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from motdiff.motions import with_smooth_error
 from motdiff.trajectory import Trajectory
@@ -27,7 +28,7 @@ def problem(path=BENT, chips=9, **options):
 
 def test_it_is_that_of_the_metrics():
     dim = replace(CAMERA, photons_full_scale=500.0)
-    table = expected_psnr_db(problem(), CODES, noise=[light_noise(dim, 9), light_noise(CAMERA, 9)])
+    table = expected_psnr_db(problem(), CODES, noise=[light_noise(dim, CODES), light_noise(CAMERA, CODES)])
     assert table.shape == (3, 2)
     for row, code in zip(table, CODES, strict=True):
         assert -row[1] == pytest.approx(measure_worst(BENT, code, camera=CAMERA).mse_db, abs=0.1)
@@ -36,24 +37,48 @@ def test_it_is_that_of_the_metrics():
 
 @pytest.mark.parametrize("camera", [Camera(photons_full_scale=1_000, read_noise_e=40, bits=8), CAMERA])
 def test_at_equal_light_the_signal_to_noise_of_a_pixel_is_the_open_shutters(camera):
-    equal, opened = equal_light_noise(camera, 8), light_noise(camera, 8)[8]
+    codes = [ShutterCode("1" * k + "0" * (8 - k)) for k in range(1, 9)]
+    equal, opened = equal_light_noise(camera, codes), light_noise(camera, codes)[-1]
     duty = np.arange(1, 9) / 8  # of the signal, in the lamp's full scale
-    np.testing.assert_allclose(equal[1:] / duty**2, opened)
+    np.testing.assert_allclose(equal / duty**2, opened)
 
 
 def test_a_very_bright_lamp_is_no_error():
-    equal_light_noise(Camera(photons_full_scale=1e7), 512)
+    equal_light_noise(Camera(photons_full_scale=1e7), [ShutterCode("1" + "0" * 511)])
+
+
+def test_a_snapshot_has_the_dark_current_of_its_own_exposure():
+    """A single opening of 2 of 9 chips integrates 2/9 of the dark electrons that a code or the open shutter does."""
+    dark = replace(CAMERA, dark_current_e_s=1e5)
+    chip_e = 1e5 * 0.02  # electrons in a chip
+    codes = [ShutterCode(code.bits, 20_000_000) for code in CODES]
+    for model, scale in ((light_noise, np.ones(3)), (equal_light_noise, np.array([code.duty for code in codes]) ** 2)):
+        added = (model(dark, codes) - model(CAMERA, codes)) / scale * CAMERA.photons_full_scale**2
+        np.testing.assert_allclose(added, [9 * chip_e, 9 * chip_e, 2 * chip_e])
+
+
+def test_dark_current_counts_alike_in_figures_objectives_and_expectations():
+    dark = replace(CAMERA, dark_current_e_s=1e5)
+    warm = replace(problem(objective="mse", direction="forward"), camera=dark, chip_ns=20_000_000)
+    codes = [ShutterCode(code.bits, warm.chip_ns) for code in CODES]
+    judged = Objective(warm, oversampling=64, dtype=np.float64)
+    expected = expected_psnr_db(warm, codes, noise=[light_noise(dark, codes)])[:, 0]
+    for code, psnr in zip(codes, expected, strict=True):
+        assert warm.measure(code).mse_db == pytest.approx(measure(BENT, code, camera=dark).mse_db)
+        assert warm.measure(code).mse_db == pytest.approx(judged.exact_cost(code), abs=1e-6)
+        assert warm.measure(code).mse_db == pytest.approx(-psnr, abs=0.1)
+        assert warm.measure(code).mse_db > measure(BENT, code, camera=CAMERA).mse_db
 
 
 def test_a_path_known_exactly_is_the_limit_of_one_that_is_not():
-    noise = [light_noise(CAMERA, 9)]
+    noise = [light_noise(CAMERA, CODES)]
     exact = expected_psnr_db(problem(), CODES, noise=noise)
     near = expected_psnr_db(problem(), CODES, noise=noise, path_error_px=1e-4)
     np.testing.assert_allclose(near, exact, atol=0.1)  # on other samples
 
 
 def test_an_error_of_the_path_costs_long_exposures_more_than_short_ones():
-    noise = [light_noise(CAMERA, 9)]
+    noise = [light_noise(CAMERA, CODES)]
     lost = [
         expected_psnr_db(problem(), CODES, noise=noise, path_error_px=error)[:, 0] for error in (0.0, 0.25, 0.5, 1.0)
     ]
@@ -66,7 +91,9 @@ def test_an_error_of_the_path_costs_long_exposures_more_than_short_ones():
 def test_the_filter_that_knows_the_error_does_as_expected_on_other_paths():
     """Monte Carlo with paths of its own: the filter of the mean and the scatter has the error that is expected."""
     error_px, code, path = 0.4, CODES[0], replace(BENT, direction="known")
-    expected = expected_psnr_db(problem(path), [code], noise=[light_noise(CAMERA, 9)], path_error_px=error_px)[0, 0]
+    expected = expected_psnr_db(problem(path), [code], noise=[light_noise(CAMERA, [code])], path_error_px=error_px)[
+        0, 0
+    ]
     rng, samples = np.random.default_rng(5), grid_samples(64)
     otfs = []
     for _ in range(200):
@@ -85,7 +112,7 @@ def test_the_filter_that_knows_the_error_does_as_expected_on_other_paths():
 def test_a_straight_path_that_is_known_to_so_much_bends():
     straight = SearchProblem.along(Trajectory.straight(12.0), chips=12, camera=CAMERA)
     codes = [ShutterCode("1" * 12), ShutterCode("110100011101")]
-    noise = [light_noise(CAMERA, 12)]
+    noise = [light_noise(CAMERA, codes)]
     exact, uncertain = (expected_psnr_db(straight, codes, noise=noise, path_error_px=e) for e in (0.0, 0.5))
     assert (uncertain < exact).all()
 
@@ -93,6 +120,6 @@ def test_a_straight_path_that_is_known_to_so_much_bends():
 @pytest.mark.parametrize("error_px", [-1.0, float("nan"), float("inf")])
 def test_a_wrong_error_is_refused(error_px):
     with pytest.raises(ValueError, match="path_error_px: must be 0 px or more"):
-        expected_psnr_db(problem(), CODES, noise=[light_noise(CAMERA, 9)], path_error_px=error_px)
+        expected_psnr_db(problem(), CODES, noise=[light_noise(CAMERA, CODES)], path_error_px=error_px)
     with pytest.raises(ValueError, match="need a motion"):
-        expected_psnr_db(SearchProblem(chips=9), CODES, noise=[light_noise(CAMERA, 9)])
+        expected_psnr_db(SearchProblem(chips=9), CODES, noise=[light_noise(CAMERA, CODES)])

@@ -59,7 +59,7 @@ def test_no_code_is_advised_while_a_shorter_exposure_within_the_limits_is_better
     assert advised.within_limits
     assert problem.allows(advised.code)
     if kept and advised.kind in ("code", "strobe"):
-        best = expected_psnr_db(problem, kept, noise=[light_noise(camera, chips)]).max()
+        best = expected_psnr_db(problem, kept, noise=[light_noise(camera, kept)]).max()
         assert advised.psnr_db >= best - 1e-6
         assert found.sentence.startswith(("Code", "Pulse"))
     if advised.kind == "snapshot":
@@ -126,7 +126,7 @@ def test_a_path_known_less_exactly_is_judged_on_every_single_exposure():
         ShutterCode("0" * first + "1" * (end - first) + "0" * (13 - end))
         for first in range(13) for end in range(first + 1, 14)
     ]  # fmt: skip
-    best = expected_psnr_db(problem, runs, noise=[light_noise(problem.camera, 13)], path_error_px=2.0).max()
+    best = expected_psnr_db(problem, runs, noise=[light_noise(problem.camera, runs)], path_error_px=2.0).max()
     found = verdict(problem, path_error_px=2.0)
     assert found.advised.psnr_db >= best - WORTH_DB
     assert max(way.psnr_db for way in found.ways if way.kind in ("open", "snapshot")) == pytest.approx(best)
@@ -178,8 +178,25 @@ def test_levels_at_which_the_camera_is_full_are_left_out():
 
 def test_dark_current_counts():
     warm = Camera(photons_full_scale=10_000, read_noise_e=2, dark_current_e_s=1e5)
-    found = verdict(along(camera=warm, exposure_s=0.025))
-    assert found.camera.read_noise_e == pytest.approx(np.sqrt(4 + 2500))
+    cold = replace(warm, dark_current_e_s=0.0)
+    shortest, code = "1" + "0" * 23, "110100101011" * 2
+    found, without = (
+        {way.code.bits: way for way in verdict(along(camera=camera, exposure_s=0.024), ShutterCode(code)).ways}
+        for camera in (warm, replace(cold, read_noise_e=float(np.sqrt(4 + 2400))))
+    )
+    assert found[code].psnr_db == pytest.approx(without[code].psnr_db)  # 2,400 dark electrons in 24 ms
+    assert found["1" * 24].psnr_db == pytest.approx(without["1" * 24].psnr_db)
+    own = verdict(along(camera=replace(cold, read_noise_e=float(np.sqrt(4 + 100))), exposure_s=0.024))
+    assert found[shortest].psnr_db == pytest.approx(next(w.psnr_db for w in own.ways if w.code.bits == shortest))
+
+
+def test_dark_current_is_of_no_account_to_a_snapshot_and_turns_the_verdict():
+    """Fixed noise makes coding pay; the same noise from dark current does not reach a short exposure."""
+    noisy, dark = NOISY, replace(NOISY, read_noise_e=2.0, dark_current_e_s=2500 / 0.024)
+    fixed, warm = (advise(along(camera=camera, exposure_s=0.024), levels=[]) for camera in (noisy, dark))
+    assert fixed.choice == "code"
+    assert warm.gains_db["code"] == pytest.approx(fixed.gains_db["code"], abs=0.1)
+    assert warm.gains_db["snapshot"] > fixed.gains_db["snapshot"] + 1
 
 
 def test_the_number_of_chips_is_the_smallest_that_is_as_good():
