@@ -14,7 +14,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.mtf import inverse_scene, noise_variance
 from cep.optics.response import ShutterResponse
 from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario, scenario_rows
+from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_rows
 from motdiff.motions import with_smooth_error
 from motdiff.trajectory import Trajectory
 
@@ -116,7 +116,9 @@ def _error(
     samples = _samples(path, exact=len(near) == 1)
     mean, power = np.zeros((len(chips), samples.fx.size), dtype=complex), np.zeros((len(chips), samples.fx.size))
     for one in near:
-        otf = _otf(problem, replace(scenario, trajectory=one), chips, samples)
+        near_one = replace(scenario, trajectory=one)
+        rows = scenario_rows(near_one, problem.chips, samples.fx, samples.fy, response=problem.response)
+        otf = coded_sum(distinct_rows(rows, problem.response), chips)
         if one is not path:
             shift = chips @ (_at_chips(one, problem.chips) - _at_chips(path, problem.chips))
             shift /= chips.sum(axis=1, keepdims=True)
@@ -161,12 +163,3 @@ def _at_chips(path: Trajectory, chips: int) -> FloatArray:
 
 def _integration_s(codes: Sequence[ShutterCode]) -> FloatArray:
     return np.array([code.integration_ns for code in codes]) * 1e-9
-
-
-def _otf(problem: SearchProblem, scenario: Scenario, chips: FloatArray, samples: BandSamples) -> NDArray[np.complex128]:
-    """OTF (R, F) of codes (R, n)."""
-    rows = scenario_rows(scenario, problem.chips, samples.fx, samples.fy, response=problem.response)
-    if problem.response is None:
-        return np.asarray(chips @ rows[:, 0, 0])
-    left = np.pad(chips, ((0, 0), (1, 0)))[:, :-1]  # opened one after the other: the right neighbour is closed yet
-    return np.asarray((chips * (1 - left)) @ rows[:, 0, 0] + (chips * left) @ rows[:, 1, 0])

@@ -25,7 +25,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.mtf import inverse_scene, noise_variance
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario, scenario_rows
+from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_rows
 
 __all__ = ["Objective", "Part", "continuum_minimum", "sample_count"]
 
@@ -87,8 +87,7 @@ class Objective:
                     rows = scenario_rows(
                         scenario, problem.chips, samples.fx, samples.fy, response=problem.response, reversed_path=turned
                     )
-                # without a response neighbours do not matter
-                blocks.append(rows.reshape(problem.chips, 4, -1) if ramps else rows[:, 0, :1])
+                blocks.append(distinct_rows(rows, problem.response))
                 start = parts[-1].columns.stop if parts else 0
                 parts.append(Part(slice(start, start + samples.fx.size), samples, index, turned))
         every = np.concatenate(blocks, axis=2)
@@ -96,31 +95,30 @@ class Objective:
         self.parts = tuple(parts)
         self.shares_across: RealArray = _stacked([part.samples.radius2_weight for part in parts]).astype(dtype)
         self.priors: RealArray = _stacked([inverse_scene(part.samples) for part in parts]).astype(dtype)
-        counts, chip_s = np.arange(problem.chips + 1), problem.chip_ns * 1e-9
-        duties = counts / problem.chips
-        self.noise = noise_variance(problem.camera, duties, integration_s=problem.chips * chip_s)
-        self._noise_of_one = noise_variance(problem.camera, duties, integration_s=counts * chip_s)
+        self._set_noise()
         shares = np.array([s.weight for s in problem.scenarios] or [1.0])
         self.scenario_shares: NDArray[np.float64] = shares / shares.sum()
 
     def instead(self, objective: str | tuple[tuple[str, float], ...]) -> Objective:
         """Judge by another objective on the same samples; the tables are shared."""
+        return self.for_problem(replace(self.problem, objective=objective))
+
+    def for_problem(self, problem: SearchProblem) -> Objective:
+        """Judge by a problem of the same motions and shutter, with another objective, camera or limits."""
         other = copy(self)
-        other.problem = replace(self.problem, objective=objective)
+        other.problem = problem
+        other._set_noise()
         return other
+
+    def _set_noise(self) -> None:
+        camera, chips, chip_s = self.problem.camera, self.problem.chips, self.problem.chip_ns * 1e-9
+        counts = np.arange(chips + 1)
+        self.noise = noise_variance(camera, counts / chips, integration_s=chips * chip_s)
+        self._noise_of_one = noise_variance(camera, counts / chips, integration_s=counts * chip_s)
 
     def otf(self, codes: RealArray) -> RealArray:
         """(R, 2, F) real and imaginary OTF of (R, n) codes."""
-        chips, variants, _, columns = self.rows.shape
-        on = codes.astype(self.rows.dtype)
-        if variants == 1:
-            flat = on @ self.rows.reshape(chips, -1)
-        else:
-            # chips open one after the other from the first: the left neighbour stands, the right one is closed yet
-            left = np.pad(on, ((0, 0), (1, 0)))[:, :-1]
-            flat = (on * (1 - left)) @ self.rows[:, 0].reshape(chips, -1)
-            flat += (on * left) @ self.rows[:, 2].reshape(chips, -1)
-        return np.asarray(flat.reshape(len(codes), 2, columns))
+        return coded_sum(self.rows, codes)
 
     def duty(self, codes: RealArray) -> NDArray[np.float64]:
         """(R,) open fraction of the exposure, with the shutter's ramps where there are any."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +27,8 @@ __all__ = [
     "Scenario",
     "alternatives",
     "class_scenarios",
+    "coded_sum",
+    "distinct_rows",
     "drifted",
     "jittered",
     "scenario_rows",
@@ -192,6 +195,28 @@ def scenario_rows(
     """
     path = scenario.path(reversed_path=reversed_path)
     return chip_rows(path, chips, fx_cy_px, fy_cy_px, response=response, edges=scenario.edges)
+
+
+def distinct_rows(rows: NDArray[Any], response: ShutterResponse | None) -> NDArray[Any]:
+    """Rows (n, V, ...) of those (n, 2, 2, ...) of :func:`scenario_rows`.
+
+    V is 4 where the shutter's response makes neighbours matter (2 left + right, 1 for open), else 1.
+    """
+    return rows[:, 0, :1] if response is None else rows.reshape(len(rows), 4, *rows.shape[3:])
+
+
+def coded_sum(rows: NDArray[Any], codes: NDArray[Any]) -> NDArray[Any]:
+    """OTFs (R, ...) of (R, n) codes from rows (n, V, ...), as :func:`distinct_rows` gives them."""
+    on = codes.astype(rows.real.dtype)
+    flat = rows.reshape(*rows.shape[:2], -1)
+    if rows.shape[1] == 1:
+        total = on @ flat[:, 0]
+    else:
+        # chips open one after the other from the first: the left neighbour stands, the right one is closed yet
+        left = np.pad(on, ((0, 0), (1, 0)))[:, :-1]
+        total = (on * (1 - left)) @ flat[:, 0]
+        total += (on * left) @ flat[:, 2]
+    return np.asarray(total.reshape(len(codes), *rows.shape[2:]))
 
 
 def _varied(base: Base, count: int, vary: Callable[[Scenario], list[Scenario]]) -> tuple[Scenario, ...]:
