@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from cep.workflows.advise import Advice, Way
+    from cep.workflows.advise import Advice
+    from cep.workflows.ways import Way
 
 __all__ = ["advise"]
 
@@ -73,6 +74,8 @@ def advise(
 
     - choice: open, snapshot (one shorter exposure), strobe (even pulses) or code, at the camera's light.
     - gains_db: of the best of each kind over the open shutter; of code: even pulses included.
+    - open_saturates: whether the open shutter collects more than the camera can record. Its figures, which gains_db
+      compares with, are then as if it could; ways that saturate are never advised.
     - equal_light_gains_db: the same where a brighter lamp makes up for the closed time, of the best of each kind there.
     - codes: those of --code.
     - crossover: ranges of light, photo-electrons at full scale, in which a code gains 0.1 dB or more; null at an end
@@ -147,7 +150,7 @@ def _show(
             name,
             way.code.open_chips,
             f"{way.psnr_db - opened.psnr_db:+.2f}",
-            f"{way.equal_light_db - opened.equal_light_db:+.2f}",
+            None if here.open_saturates else f"{way.equal_light_db - opened.equal_light_db:+.2f}",
         )
         for name, way in {opened.label: opened, **shown}.items()
     ]

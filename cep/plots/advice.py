@@ -27,7 +27,9 @@ def advice_figure(advice: Advice) -> Figure:
     axes = figure.subplots()
     light = [one.camera.photons_full_scale for one in advice.levels]
     axes.axhline(0.0, color="black", linewidth=1.0)
-    axes.text(light[0], 0.0, "open shutter", fontsize=9, va="bottom")
+    full = next((level for level, one in zip(light, advice.levels, strict=True) if one.open_saturates), None)
+    saturates = "" if full is None else f"; at {full:,.0f} and more it saturates"
+    axes.text(light[0], 0.0, f"open shutter{saturates}", fontsize=9, va="bottom")
     for (kind, name), colour, line in zip(_NAMES.items(), COLOURS, LINES, strict=False):
         gains = [(one.camera.photons_full_scale, one.gains_db) for one in advice.levels]
         points = [(level, gain[kind]) for level, gain in gains if kind in gain]

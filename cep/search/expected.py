@@ -18,7 +18,7 @@ from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_ro
 from motdiff.motions import with_smooth_error
 from motdiff.trajectory import Trajectory
 
-__all__ = ["WORTH_DB", "equal_light_noise", "expected_psnr_db", "light_noise", "open_share"]
+__all__ = ["WORTH_DB", "collected_e", "equal_light_noise", "expected_psnr_db", "light_noise", "open_share"]
 
 FloatArray = NDArray[np.float64]
 
@@ -43,6 +43,12 @@ def light_noise(camera: Camera, codes: Sequence[ShutterCode], *, response: Shutt
     Dark current counts for each code's integration time.
     """
     return noise_variance(camera, open_share(codes, response), integration_s=_integration_s(codes))
+
+
+def collected_e(camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None) -> FloatArray:
+    """Electrons that a pixel of value 1 collects through each code, (R,): of light and of dark current."""
+    light_e = camera.photons_full_scale * open_share(codes, response)
+    return np.asarray(light_e + camera.dark_e(_integration_s(codes)), dtype=np.float64)
 
 
 def equal_light_noise(

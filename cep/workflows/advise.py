@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,9 @@ from cep.io.formatting import duration
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
-from cep.search.annealing.anneal import anneal
-from cep.search.expected import WORTH_DB, equal_light_noise, expected_psnr_db, light_noise
-from cep.search.light import best_snapshot, best_strobe, evenly_some
-from cep.search.objective import Objective
+from cep.search.expected import WORTH_DB
 from cep.search.problem import SearchProblem
+from cep.workflows.ways import CODED, KINDS, PLAIN, Choice, Way, WayFinder, judged_ways, recordable, simplest
 
 __all__ = [
     "ASSUMED_EXPOSURE_S",
@@ -32,14 +30,11 @@ __all__ = [
     "advise",
     "best_psnr_db",
     "in_words_of_chips",
-    "ordinary_ways",
     "suited_chips",
     "verdict",
 ]
 
 FloatArray = NDArray[np.float64]
-Choice = Literal["open", "snapshot", "strobe", "code"]
-
 LEVELS = (100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
 """Photo-electrons at full scale at which the ways to expose are compared: from starlight to studio."""
 
@@ -50,56 +45,7 @@ COUNTS = (8, 16, 32, 52, 104)
 """Numbers of chips that are tried where none is given."""
 
 _LEAST_LEVEL, _MOST_LEVEL = 1.0, 1e7
-_COARSE = 8  # samples per 1 / extent while snapshots, strobes and codes are searched
-_MOVES = 100_000  # of a search at one light level; four times as many gain less than 0.05 dB
-_MOST_RUNS = 1_000  # single exposures that are all judged with an error of the path
-_LENGTHS, _STARTS = 24, 16  # else so many lengths and starts
-_PLAIN: tuple[Choice, ...] = ("open", "snapshot")
-_CODED: tuple[Choice, ...] = ("strobe", "code")
-_SIMPLEST = (*_PLAIN, *_CODED)
-
-
-@dataclass(frozen=True)
-class Way:
-    """A way to expose.
-
-    Attributes
-    ----------
-    kind : {"open", "snapshot", "strobe", "code"}
-    code : ShutterCode
-        Chips that are open; a snapshot's are one run.
-    psnr_db : float
-        Expected of the restored photo, with the light that the chips let in.
-    equal_light_db : float
-        The same where a brighter lamp makes up for the closed chips.
-    within_limits : bool
-        Whether it keeps the problem's limits.
-    """
-
-    kind: Choice
-    code: ShutterCode
-    psnr_db: float
-    equal_light_db: float
-    within_limits: bool = True
-
-    @property
-    def label(self) -> str:
-        """Name for tables."""
-        name = {"open": "open shutter", "snapshot": "single exposure", "strobe": "even pulses", "code": "code"}[
-            self.kind
-        ]
-        return name if self.within_limits else f"{name} (outside the limits)"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Fields for JSON."""
-        return {
-            "kind": self.kind,
-            "bits": self.code.bits,
-            "open": self.code.open_chips,
-            "psnr_db": self.psnr_db,
-            "equal_light_psnr_db": self.equal_light_db,
-            "within_limits": self.within_limits,
-        }
+_NONE_KEPT = "limits: none of the ways to expose that were tried keeps them without saturating"
 
 
 @dataclass(frozen=True)
@@ -110,7 +56,7 @@ class Verdict:
     ----------
     camera : Camera
     ways : tuple of Way
-        The open shutter first, then every other that was tried; at least one within the limits.
+        The open shutter first, then every other that was tried; at least one is possible.
     code_name : str
         What the sentence calls the best code.
     """
@@ -119,17 +65,27 @@ class Verdict:
     ways: tuple[Way, ...]
     code_name: str = "the best code found"
 
+    @property
+    def possible(self) -> tuple[Way, ...]:
+        """Ways that can be advised: they keep the limits and do not saturate."""
+        return tuple(way for way in self.ways if way.possible)
+
+    @property
+    def open_saturates(self) -> bool:
+        """Whether the open shutter collects more than the camera can record."""
+        return self.ways[0].saturates
+
     def best(self, kind: Choice, *, equal_light: bool = False) -> Way | None:
-        """Return the best way of a kind within the limits, None where there is none; even pulses are a code as well."""
-        kinds = _CODED if kind == "code" else (kind,)
-        found = [way for way in self.ways if way.kind in kinds and way.within_limits]
+        """Return the best possible way of a kind, None where there is none; even pulses are a code as well."""
+        kinds = CODED if kind == "code" else (kind,)
+        found = [way for way in self.possible if way.kind in kinds]
         figure = attrgetter("equal_light_db" if equal_light else "psnr_db")
         return max(found, key=figure, default=None)
 
     @property
     def advised(self) -> Way:
-        """The way to take: the simplest within the limits that no other beats by ``WORTH_DB``."""
-        return _simplest([way for way in self.ways if way.within_limits])
+        """The way to take: the simplest possible one that no other beats by ``WORTH_DB``."""
+        return simplest(self.possible)
 
     @property
     def choice(self) -> Choice:
@@ -139,28 +95,36 @@ class Verdict:
     @property
     def outside(self) -> Way | None:
         """The way to take without the limits, where it is better by :data:`cep.search.expected.WORTH_DB`; else None."""
-        best = _simplest(self.ways)
+        best = simplest([way for way in self.ways if not way.saturates])
         return best if best.psnr_db > self.advised.psnr_db + WORTH_DB else None
 
     @property
     def gains_db(self) -> dict[Choice, float]:
-        """Expected gain of the best way of each kind over the open shutter, dB, within the limits."""
-        best = {kind: self.best(kind) for kind in _SIMPLEST}
+        """Expected gain of the best possible way of each kind over the open shutter, dB.
+
+        An open shutter that saturates counts as if the pixel could hold its light.
+        """
+        best = {kind: self.best(kind) for kind in KINDS}
         return {kind: way.psnr_db - self.ways[0].psnr_db for kind, way in best.items() if way is not None}
 
     @property
     def equal_light_gains_db(self) -> dict[Choice, float]:
-        """The same where a brighter lamp makes up for the closed chips; the best ways may be others there."""
-        best = {kind: self.best(kind, equal_light=True) for kind in _SIMPLEST}
+        """The same where a brighter lamp makes up for the closed chips; the best ways may be others there.
+
+        Empty where the open shutter saturates: with as much light every way does.
+        """
+        if self.open_saturates:
+            return {}
+        best = {kind: self.best(kind, equal_light=True) for kind in KINDS}
         return {kind: way.equal_light_db - self.ways[0].equal_light_db for kind, way in best.items() if way is not None}
 
     @property
     def code_gain_db(self) -> float | None:
-        """Gain of the best code over the better of open shutter and best snapshot, within the limits.
+        """Gain of the best code over the better of open shutter and best snapshot, of those that are possible.
 
-        None where the limits leave no code, infinite where they leave nothing else.
+        None where no code is possible, infinite where nothing else is.
         """
-        code, plain = self.best("code"), [way.psnr_db for kind in _PLAIN if (way := self.best(kind)) is not None]
+        code, plain = self.best("code"), [way.psnr_db for kind in PLAIN if (way := self.best(kind)) is not None]
         return None if code is None else code.psnr_db - max(plain, default=-math.inf)
 
     @property
@@ -168,19 +132,24 @@ class Verdict:
         """What to do, and what it gains: one or two sentences."""
         way, light = self.advised, _light(self.camera)
         code, snapshot = self.best("code"), self.best("snapshot")
-        over_open = f"{_better(way.psnr_db - self.ways[0].psnr_db)} than the open shutter{light}"
+        over_open = (
+            "" if self.open_saturates else f"{_better(way.psnr_db - self.ways[0].psnr_db)} than the open shutter"
+        )
         if way.kind == "open":
             said = f"Leave the shutter open: no shorter exposure and no code found gains {WORTH_DB:g} dB{light}."
         elif way.kind == "snapshot":
             lost = 0.0 if code is None else way.psnr_db - code.psnr_db
             than = f"{_better(lost)} than {self.code_name}" if lost >= WORTH_DB else f"as well as {self.code_name}"
-            if code is None:
-                than = "as the limits leave no code"
-            said = f"Coding does not pay here: expose {_share(way.code)}; that restores {than} and {over_open}."
+            than = "" if code is None else than
+            said = f"Coding does not pay here: expose {_share(way.code)}{_restores('; ', than, over_open)}{light}."
         else:
             do = "Code this exposure" if way.kind == "code" else f"Pulse the shutter evenly, {_pulses(way.code)}"
-            over = "" if snapshot is None else f"{_better(way.psnr_db - snapshot.psnr_db)} than {_run(snapshot)} and "
-            said = f"{do}: that restores {over}{over_open}."
+            over = "" if snapshot is None else f"{_better(way.psnr_db - snapshot.psnr_db)} than {_run(snapshot)}"
+            said = f"{do}{_restores(': ', over, over_open)}{light}."
+        if code is None:
+            said += " No code is possible."
+        if self.open_saturates:
+            said += " The open shutter saturates at this light."
         if (other := self.outside) is not None:
             said += (
                 f" If the limits can be loosened, {_run(other)} restores {_better(other.psnr_db - way.psnr_db)} still."
@@ -189,10 +158,11 @@ class Verdict:
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON."""
-        best = {kind: way for kind in _SIMPLEST if (way := self.best(kind)) is not None}
+        best = {kind: way for kind in KINDS if (way := self.best(kind)) is not None}
         return {
             "choice": self.choice,
             "photons": self.camera.photons_full_scale,
+            "open_saturates": self.open_saturates,
             "gains_db": self.gains_db,
             "equal_light_gains_db": self.equal_light_gains_db,
             "ways": {kind: way.to_dict() for kind, way in best.items()},
@@ -317,12 +287,16 @@ def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 
     Raises
     ------
     ValueError
-        If the problem has no motion, the camera is full at its light, or a code has another number of chips.
+        If the problem has no motion, even the shortest opening saturates at its light, or a code has another number
+        of chips.
     """
-    lit = _checked(problem, codes)
-    ways = [*ordinary_ways(lit, path_error_px=path_error_px), *codes]
+    _check(problem, codes)
+    ways = [*WayFinder(problem).ordinary(problem.camera, path_error_px=path_error_px), *codes]
     name = "this code" if len(codes) == 1 else "the best of these codes"
-    return replace(_judged(lit, [lit.camera], ways, path_error_px=path_error_px)[0], code_name=name)
+    found = judged_ways(problem, [problem.camera], ways, path_error_px=path_error_px)[0]
+    if not any(way.possible for way in found):
+        raise ValueError(_NONE_KEPT)
+    return Verdict(problem.camera, found, name)
 
 
 def advise(
@@ -347,7 +321,7 @@ def advise(
     *codes : ShutterCode
         Codes of the user's own to judge as well.
     levels : sequence of float
-        Photo-electrons at full scale, 1..1e7. Those at which the camera is full are left out.
+        Photo-electrons at full scale, 1..1e7. Those at which even the shortest opening saturates are left out.
     path_error_px : float
         Rms error of the path where it is an estimate. Every way is judged with it, the codes are searched without.
     seed : int
@@ -372,36 +346,44 @@ def advise(
     wrong = [level for level in levels if not _LEAST_LEVEL <= level <= _MOST_LEVEL]
     if wrong:
         raise ValueError(f"levels: must lie within 1..1e7 photo-electrons at full scale, got {wrong[0]:g}")
-    problem = _checked(problem, codes)
+    _check(problem, codes)
     for scenario in problem.scenarios:
         check_frame(scenario.trajectory)
         check_resolved(scenario.trajectory, problem.chips)
-    own, full_e = problem.camera.photons_full_scale, problem.camera.saturation_e
-    light = sorted({*(float(level) for level in levels if level <= full_e), own})
-    cameras = [problem.camera.at(level) for level in light]
-    pool: list[ShutterCode] = list(codes)
+    own = problem.camera.photons_full_scale
+    every = [problem.camera.at(level) for level in sorted({*map(float, levels), own})]
+    cameras = [one for one in every if _can_record(replace(problem, camera=one))]
+    finder, pool = WayFinder(problem), list(codes)
     parts = len(cameras) + 1
     for done, camera in enumerate(cameras):
         progress(done / parts, f"{camera.photons_full_scale:,.0f} photo-electrons")
-        lit = replace(problem, camera=camera)
-        ordinary = ordinary_ways(lit, path_error_px=path_error_px if done == 0 else 0.0)
-        pool += [*ordinary, *_searched(lit, [*ordinary, *pool], seed=seed, threads=threads)]
+        ordinary = finder.ordinary(camera, path_error_px=path_error_px if done == 0 else 0.0)
+        pool += [*ordinary, *finder.codes(camera, [*ordinary, *pool], seed=seed, threads=threads)]
     progress(len(cameras) / parts, "judging")
-    judged = _judged(problem, cameras, pool, path_error_px=path_error_px)
-    here = judged[light.index(own)]
+    judged = judged_ways(problem, cameras, pool, path_error_px=path_error_px)
+    verdicts = tuple(
+        Verdict(camera, ways)
+        for camera, ways in zip(cameras, judged, strict=True) if any(way.possible for way in ways)
+    )  # fmt: skip
+    here = next((one for one in verdicts if one.camera.photons_full_scale == own), None)
+    if here is None:
+        raise ValueError(_NONE_KEPT)
     progress(1.0, "")
-    return Advice(problem, here, tuple(judged), path_error_px)
+    return Advice(problem, here, verdicts, path_error_px)
 
 
 def best_psnr_db(
     problem: SearchProblem, *, path_error_px: float = 0.0, seed: int = 0, threads: int | None = None
 ) -> float:
     """Return the PSNR, dB, expected of the best way within the limits at the camera's light; see :func:`advise`."""
-    lit = _checked(problem, ())
-    ordinary = ordinary_ways(lit, path_error_px=path_error_px)
-    codes = [*ordinary, *_searched(lit, ordinary, seed=seed, threads=threads)]
-    judged = _judged(lit, [lit.camera], codes, path_error_px=path_error_px)[0]
-    return max(way.psnr_db for way in judged.ways if way.within_limits)
+    _check(problem, ())
+    finder = WayFinder(problem)
+    ordinary = finder.ordinary(problem.camera, path_error_px=path_error_px)
+    codes = [*ordinary, *finder.codes(problem.camera, ordinary, seed=seed, threads=threads)]
+    judged = judged_ways(problem, [problem.camera], codes, path_error_px=path_error_px)[0]
+    if not any(way.possible for way in judged):
+        raise ValueError(_NONE_KEPT)
+    return max(way.psnr_db for way in judged if way.possible)
 
 
 def suited_chips(
@@ -466,110 +448,29 @@ def in_words_of_chips(gains_db: Mapping[int, float]) -> str:
     return ", ".join(f"{name} {part}" for name, part in zip(names, parts, strict=True))
 
 
-def ordinary_ways(problem: SearchProblem, *, path_error_px: float = 0.0) -> list[ShutterCode]:
-    """Return single exposures and even pulses to judge: the best by the expected error, of all and within the limits.
-
-    Also those that may be the best with a brighter lamp, or for a path that is not known exactly: the shortest
-    exposures, and with an error of the path exposures of all lengths.
-    """
-    coarse = Objective(replace(problem, objective="mse"), oversampling=_COARSE)
-    found = []
-    for best in (best_snapshot, best_strobe):
-        free = best(coarse)
-        if free is None:
-            continue
-        found.append(free)
-        if not problem.allows(free) and (kept := best(coarse, within_limits=True)) is not None:
-            found.append(kept)
-    n = problem.chips
-    shortest = max(problem.open_limits[0], 1)
-    lengths = np.arange(1, n) if path_error_px else np.unique([1, shortest])
-    every = n * (n - 1) // 2 <= _MOST_RUNS
-    for length in lengths if every else evenly_some(lengths, _LENGTHS):
-        starts = np.arange(n - length + 1)
-        runs = starts if every and path_error_px else evenly_some(starts, _STARTS)
-        found += [ShutterCode("0" * i + "1" * int(length) + "0" * (n - int(length) - i)) for i in map(int, runs)]
-    return found
-
-
-def _checked(problem: SearchProblem, codes: Sequence[ShutterCode]) -> SearchProblem:
-    """Return the problem, where codes suit it and its camera is not full."""
+def _check(problem: SearchProblem, codes: Sequence[ShutterCode]) -> None:
+    """Refuse codes that do not suit the problem, and a light at which even the shortest opening saturates."""
     if not problem.scenarios:
         raise ValueError("scenarios: need a motion to advise on")
     if any(code.chips != problem.chips for code in codes):
         raise ValueError(f"codes: must have {problem.chips} chips")
-    own, full_e = problem.camera.photons_full_scale, problem.camera.saturation_e
-    if own > full_e:
+    if not _can_record(problem):
+        camera, shortest = problem.camera, max(problem.open_limits[0], 1) / problem.chips
         raise ValueError(
-            f"photons_full_scale: this camera is full at {full_e:,.0f} electrons, got a light level of {own:,.0f}; "
-            "give what an exposure that it can record collects"
+            f"photons_full_scale: this camera is full at {camera.saturation_e:,.0f} electrons, and at a light level of "
+            f"{camera.photons_full_scale:,.0f} the shortest opening, {shortest:.2g} of the exposure, collects "
+            f"{camera.photons_full_scale * shortest:,.0f}; give less light"
         )
-    return problem
 
 
-def _searched(
-    problem: SearchProblem, starts: Sequence[ShutterCode], *, seed: int, threads: int | None
-) -> list[ShutterCode]:
-    """Search the code of least expected error within the limits.
-
-    A snapshot may have less noise from dark current. It is charged that of a code here, or the search would end on it.
-    """
-    allowed = [code for code in starts if problem.allows(code)]
-    whole_s = problem.chips * problem.chip_ns * 1e-9
-    sought = replace(problem, objective="mse", camera=problem.camera.with_dark_noise(whole_s))
-    found = anneal(
-        sought, rng=np.random.default_rng([seed, 7]), steps=_MOVES, time_s=math.inf, start=allowed, threads=threads,
-        judge=Objective(sought, oversampling=_COARSE, dtype=np.float64),
-    )  # fmt: skip
-    if found.stopped == "interrupted":
-        raise KeyboardInterrupt
-    return [found.code]
+def _can_record(problem: SearchProblem) -> bool:
+    return any(recordable(problem, single=single) is not None for single in (True, False))
 
 
-def _judged(
-    problem: SearchProblem, cameras: Sequence[Camera], codes: Sequence[ShutterCode], *, path_error_px: float
-) -> list[Verdict]:
-    """Judge every code at every light; the open shutter is added."""
-    n = problem.chips
-    every = list(
-        {code.bits: ShutterCode(code.bits, problem.chip_ns) for code in [ShutterCode("1" * n), *codes]}.values()
-    )
-    noise = [
-        model(camera, every, response=problem.response)
-        for camera in cameras for model in (light_noise, equal_light_noise)
-    ]  # fmt: skip
-    psnr = expected_psnr_db(problem, every, noise=noise, path_error_px=path_error_px).reshape(len(every), -1, 2)
-    allowed = [problem.allows(code) for code in every]
-    if not any(allowed):
-        raise ValueError("limits: none of the ways to expose that were tried keeps them")
-    return [
-        Verdict(
-            camera,
-            tuple(
-                Way(_kind(code), code, float(at_time), float(at_light), allows)
-                for code, (at_time, at_light), allows in zip(every, psnr[:, index], allowed, strict=True)
-            ),
-        )
-        for index, camera in enumerate(cameras)
-    ]
-
-
-def _kind(code: ShutterCode) -> Choice:
-    """Kind of a code by its openings: all, one, even ones, or others."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], code.array, [0]])))
-    starts, ends = edges[::2], edges[1::2]
-    if code.open_chips == code.chips:
-        return "open"
-    if len(starts) == 1:
-        return "snapshot"
-    if len(starts) == 2:
-        return "code"  # any two equal openings would be even
-    even = len(np.unique(np.diff(starts))) == 1 and len(np.unique((ends - starts)[:-1])) == 1
-    # the last pulse may be cut off by the end of the exposure
-    whole = ends[-1] - starts[-1] == ends[0] - starts[0] or (
-        ends[-1] == code.chips and ends[-1] - starts[-1] < ends[0] - starts[0]
-    )
-    return "strobe" if even and whole else "code"
+def _restores(mark: str, *gains: str) -> str:
+    """Gains in words, those that are not empty, after a punctuation mark."""
+    stated = [gain for gain in gains if gain]
+    return f"{mark}that restores {' and '.join(stated)}" if stated else ""
 
 
 def _light(camera: Camera) -> str:
@@ -582,14 +483,6 @@ def _light(camera: Camera) -> str:
 def _better(gain_db: float) -> str:
     size = f"{abs(gain_db):.1f} dB" if abs(gain_db) >= 0.95 else f"{abs(gain_db):.2f} dB"
     return f"{size} {'better' if gain_db >= 0 else 'worse'}"
-
-
-def _simplest(ways: Sequence[Way]) -> Way:
-    """Return the best way of the simplest kind that none beats by :data:`cep.search.expected.WORTH_DB`."""
-    highest = max(way.psnr_db for way in ways)
-    near = [way for way in ways if way.psnr_db > highest - WORTH_DB]
-    simplest = min(_SIMPLEST.index(way.kind) for way in near)
-    return max((way for way in near if way.kind == _SIMPLEST[simplest]), key=lambda way: way.psnr_db)
 
 
 def _run(way: Way) -> str:

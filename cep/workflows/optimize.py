@@ -161,7 +161,11 @@ class Optimum:
                 for name in (early if repeats else ())
             ),
             *certificate_warnings(self.problem),
-        )
+            *(
+                "the code saturates at this light: search with fewer open chips, or give what can be recorded"
+                for way in self.verdict.ways if way.saturates and way.code.bits == self.code.bits
+            ),
+        )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep optimize --json`` prints them."""

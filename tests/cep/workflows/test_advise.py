@@ -168,12 +168,59 @@ def test_a_flash_favours_the_short_exposure():
     assert found.equal_light_gains_db["snapshot"] > found.gains_db["snapshot"]
 
 
-def test_levels_at_which_the_camera_is_full_are_left_out():
-    small = Camera(photons_full_scale=1_000, full_well_e=5_000.0)
-    advice = advise(along(chips=8, camera=small))
-    assert max(one.camera.photons_full_scale for one in advice.levels) <= 5_000
-    with pytest.raises(ValueError, match=r"photons_full_scale: this camera is full at 5,000 electrons"):
-        advise(along(chips=8, camera=replace(small, photons_full_scale=6_000.0)))
+SMALL = Camera(photons_full_scale=1_000, read_noise_e=20, full_well_e=5_000.0)
+
+
+def test_ways_that_saturate_are_no_ways():
+    """At 20,000 of 5,000 electrons a quarter of the exposure can be recorded: 2 of 8 chips, of whatever way."""
+    advice = advise(along(chips=8, camera=replace(SMALL, photons_full_scale=20_000.0)), levels=[1_000])
+    here = advice.here
+    assert {way.code.open_chips for way in here.possible} == {1, 2}
+    assert all(way.saturates == (way.code.open_chips > 2) for way in here.ways)
+    assert advice.choice == "snapshot"
+    assert here.open_saturates
+    assert "open" not in here.gains_db
+    assert here.equal_light_gains_db == {}
+    assert "than the open shutter" not in here.sentence
+    assert here.sentence.endswith("The open shutter saturates at this light.")
+    assert not advice.levels[0].open_saturates
+
+
+def test_a_code_within_what_can_be_recorded_is_searched():
+    """Read noise makes coding pay; the code found is the best of those that are dark enough, by brute force."""
+    bright = Camera(photons_full_scale=40_000, read_noise_e=200, full_well_e=10_100.0)
+    here = advise(along(STRAIGHT, 12, camera=bright), levels=[]).here
+    assert here.best("code").code.open_chips <= 3
+    dark = [ShutterCode(f"{bits:012b}") for bits in range(1, 2**12) if bits.bit_count() <= 3]
+    best = expected_psnr_db(along(STRAIGHT, 12, camera=bright), dark, noise=[light_noise(bright, dark)]).max()
+    assert here.advised.psnr_db >= best - WORTH_DB
+
+
+def test_dark_current_fills_the_well_of_a_code_and_not_of_a_snapshot():
+    warm = replace(SMALL, photons_full_scale=8_000.0, dark_current_e_s=4_000 / 0.024)
+    bits = ("1000001" + "0" * 17, "101010" * 4, "1" * 8 + "0" * 16, "1" * 12 + "0" * 12)
+    found = verdict(along(camera=warm, exposure_s=0.024), *map(ShutterCode, bits)).ways
+    ways = {way.code.bits: way for way in found}
+    # 667 + 4,000, 4,000 + 4,000, 2,667 + 1,333 and 4,000 + 2,000 electrons
+    assert [ways[code].saturates for code in bits] == [False, True, False, True]
+
+
+def test_levels_at_which_the_shortest_opening_saturates_are_left_out():
+    advice = advise(along(chips=8, camera=SMALL))
+    assert max(one.camera.photons_full_scale for one in advice.levels) == 30_000  # of 40,000
+    with pytest.raises(ValueError, match=r"photons_full_scale: this camera is full at 5,000 electrons, and at a light"):
+        advise(along(chips=8, camera=replace(SMALL, photons_full_scale=41_000.0)))
+    with pytest.raises(ValueError, match=r"the shortest opening, 0.25 of the exposure, collects 5,250"):
+        verdict(along(chips=8, camera=replace(SMALL, photons_full_scale=21_000.0), open_range=(2, 8)))
+
+
+def test_a_code_that_saturates_is_not_advised_and_warned_of():
+    """Limits that ask for half of the light: the code that is found cannot be recorded, a shorter exposure can."""
+    bright = Camera(photons_full_scale=12_000, read_noise_e=200, full_well_e=5_000.0)
+    best = cep.optimize(along(chips=12, camera=bright, open_range=(4, 8), objective="mse"), steps=20_000)
+    assert best.code.open_chips > 5
+    assert best.verdict.advised.code.open_chips <= 5
+    assert any("saturates at this light" in line for line in best.warnings)
 
 
 def test_dark_current_counts():

@@ -1,0 +1,259 @@
+"""Ways to expose for a motion: those that are tried, and the restoration expected of each at every light level."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.search.annealing.anneal import anneal
+from cep.search.expected import WORTH_DB, collected_e, equal_light_noise, expected_psnr_db, light_noise
+from cep.search.light import best_snapshot, best_strobe, evenly_some
+from cep.search.limits import RunLimits
+from cep.search.objective import Objective
+from cep.search.problem import SearchProblem
+
+__all__ = [
+    "CODED",
+    "KINDS",
+    "PLAIN",
+    "Choice",
+    "Way",
+    "WayFinder",
+    "judged_ways",
+    "recordable",
+    "simplest",
+]
+
+Choice = Literal["open", "snapshot", "strobe", "code"]
+
+PLAIN: tuple[Choice, ...] = ("open", "snapshot")
+"""Kinds of a single opening."""
+
+CODED: tuple[Choice, ...] = ("strobe", "code")
+"""Kinds of several openings."""
+
+KINDS = (*PLAIN, *CODED)
+"""All kinds, the simplest first."""
+
+_OVERSAMPLING = 8  # samples per 1 / extent while snapshots, strobes and codes are searched
+_MOVES = 100_000  # of a search at one light level; four times as many gain less than 0.05 dB
+_MOST_RUNS = 1_000  # single exposures that are all judged with an error of the path
+_LENGTHS, _STARTS = 24, 16  # else so many lengths and starts
+_ROUNDED = 1e-3  # relative: a camera's figures are stated to three digits
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to expose.
+
+    Attributes
+    ----------
+    kind : {"open", "snapshot", "strobe", "code"}
+    code : ShutterCode
+        Chips that are open; a snapshot's are one run.
+    psnr_db : float
+        Expected of the restored photo, with the light that the chips let in; as if the pixel could hold it.
+    equal_light_db : float
+        The same where a brighter lamp makes up for the closed chips.
+    within_limits : bool
+        Whether it keeps the problem's limits.
+    saturates : bool
+        Whether a pixel of value 1 collects more than the camera can record.
+    """
+
+    kind: Choice
+    code: ShutterCode
+    psnr_db: float
+    equal_light_db: float
+    within_limits: bool = True
+    saturates: bool = False
+
+    @property
+    def possible(self) -> bool:
+        """Whether it can be advised: it keeps the limits and does not saturate."""
+        return self.within_limits and not self.saturates
+
+    @property
+    def label(self) -> str:
+        """Name for tables."""
+        name = {"open": "open shutter", "snapshot": "single exposure", "strobe": "even pulses", "code": "code"}[
+            self.kind
+        ]
+        notes = [
+            note
+            for note, applies in (("outside the limits", not self.within_limits), ("saturates", self.saturates))
+            if applies
+        ]
+        return f"{name} ({', '.join(notes)})" if notes else name
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON."""
+        return {
+            "kind": self.kind,
+            "bits": self.code.bits,
+            "open": self.code.open_chips,
+            "psnr_db": self.psnr_db,
+            "equal_light_psnr_db": self.equal_light_db,
+            "within_limits": self.within_limits,
+            "saturates": self.saturates,
+        }
+
+
+class WayFinder:
+    """Search of the ways to expose along a problem's motions, at any light.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        Its motions, limits and shutter; its objective and camera do not matter.
+    """
+
+    def __init__(self, problem: SearchProblem) -> None:
+        sought = replace(problem, objective="mse")
+        self._fast = Objective(sought, oversampling=_OVERSAMPLING)
+        self._judge = Objective(sought, oversampling=_OVERSAMPLING, dtype=np.float64)
+
+    def ordinary(self, camera: Camera, *, path_error_px: float = 0.0) -> list[ShutterCode]:
+        """Return single exposures and even pulses to judge: the best by the expected error that do not saturate.
+
+        Of all, and within the limits. Also those that may be the best with a brighter lamp, or for a path that is
+        not known exactly: the shortest exposures, and with an error of the path exposures of all lengths.
+        """
+        problem = replace(self._fast.problem, camera=camera)
+        unlimited = replace(problem, open_range=None, runs=RunLimits())
+        found = []
+        for best, single in ((best_snapshot, True), (best_strobe, False)):
+            for asked in (unlimited, problem):
+                kept = recordable(asked, single=single)
+                code = None if kept is None else best(self._fast.for_problem(kept), within_limits=kept is not unlimited)
+                found += [] if code is None else [code]
+                if code is not None and problem.allows(code):
+                    break
+        n = problem.chips
+        shortest = max(problem.open_limits[0], 1)
+        lengths = np.arange(1, n) if path_error_px else np.unique([1, shortest])
+        every = n * (n - 1) // 2 <= _MOST_RUNS
+        for length in lengths if every else evenly_some(lengths, _LENGTHS):
+            starts = np.arange(n - length + 1)
+            runs = starts if every and path_error_px else evenly_some(starts, _STARTS)
+            found += [ShutterCode("0" * i + "1" * int(length) + "0" * (n - int(length) - i)) for i in map(int, runs)]
+        return found
+
+    def codes(
+        self, camera: Camera, starts: Sequence[ShutterCode], *, seed: int, threads: int | None
+    ) -> list[ShutterCode]:
+        """Search the code of least expected error within the limits; none where every code would saturate.
+
+        A snapshot may have less noise from dark current. It is charged that of a code here, or the search would end on
+        it.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            After Ctrl-C.
+        """
+        kept = recordable(replace(self._judge.problem, camera=camera), single=False)
+        if kept is None:
+            return []
+        sought = replace(kept, camera=camera.with_dark_noise(kept.chips * kept.chip_ns * 1e-9))
+        found = anneal(
+            sought, rng=np.random.default_rng([seed, 7]), steps=_MOVES, time_s=math.inf,
+            start=[code for code in starts if sought.allows(code)], threads=threads,
+            judge=self._judge.for_problem(sought),
+        )  # fmt: skip
+        if found.stopped == "interrupted":
+            raise KeyboardInterrupt
+        return [found.code]
+
+
+def recordable(problem: SearchProblem, *, single: bool) -> SearchProblem | None:
+    """Rule out codes that would saturate, by their open chips: a problem with fewer of them, or the same.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    single : bool
+        Whether codes of a single opening are asked for: dark current fills the well for as long as it alone.
+
+    Returns
+    -------
+    SearchProblem or None
+        None where no code within the limits is left.
+    """
+    camera, n, chip_s = problem.camera, problem.chips, problem.chip_ns * 1e-9
+    counts = np.arange(1, n + 1)
+    collected = camera.photons_full_scale * counts / n + camera.dark_e(chip_s * (counts if single else n))
+    most = int(np.count_nonzero(collected <= _full_e(camera)))
+    low, high = problem.open_range or (1, n)
+    if most >= high:
+        return problem
+    try:
+        return replace(problem, open_range=(low, most))
+    except ValueError:  # the limits ask for more open chips
+        return None
+
+
+def judged_ways(
+    problem: SearchProblem, cameras: Sequence[Camera], codes: Sequence[ShutterCode], *, path_error_px: float
+) -> list[tuple[Way, ...]]:
+    """Judge every code at the light of every camera; the open shutter is added, and comes first."""
+    every = list(
+        {
+            code.bits: ShutterCode(code.bits, problem.chip_ns) for code in [ShutterCode("1" * problem.chips), *codes]
+        }.values()
+    )
+    noise = [
+        model(camera, every, response=problem.response)
+        for camera in cameras
+        for model in (light_noise, equal_light_noise)
+    ]
+    psnr = expected_psnr_db(problem, every, noise=noise, path_error_px=path_error_px).reshape(len(every), -1, 2)
+    allowed, kinds = [problem.allows(code) for code in every], [_kind(code) for code in every]
+    judged = []
+    for index, camera in enumerate(cameras):
+        full = collected_e(camera, every, response=problem.response) > _full_e(camera)
+        judged.append(
+            tuple(
+                Way(kind, code, float(at_time), float(at_light), allows, bool(saturates))
+                for kind, code, (at_time, at_light), allows, saturates in zip(
+                    kinds, every, psnr[:, index], allowed, full, strict=True
+                )
+            )
+        )
+    return judged
+
+
+def simplest(ways: Sequence[Way]) -> Way:
+    """Return the best way of the simplest kind that none beats by :data:`cep.search.expected.WORTH_DB`."""
+    highest = max(way.psnr_db for way in ways)
+    near = [way for way in ways if way.psnr_db > highest - WORTH_DB]
+    kind = min(KINDS.index(way.kind) for way in near)
+    return max((way for way in near if way.kind == KINDS[kind]), key=lambda way: way.psnr_db)
+
+
+def _full_e(camera: Camera) -> float:
+    return camera.saturation_e * (1 + _ROUNDED)
+
+
+def _kind(code: ShutterCode) -> Choice:
+    """Kind of a code by its openings: all, one, even ones, or others."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], code.array, [0]])))
+    starts, ends = edges[::2], edges[1::2]
+    if code.open_chips == code.chips:
+        return "open"
+    if len(starts) == 1:
+        return "snapshot"
+    if len(starts) == 2:
+        return "code"  # any two equal openings would be even
+    even = len(np.unique(np.diff(starts))) == 1 and len(np.unique((ends - starts)[:-1])) == 1
+    # the last pulse may be cut off by the end of the exposure
+    whole = ends[-1] - starts[-1] == ends[0] - starts[0] or (
+        ends[-1] == code.chips and ends[-1] - starts[-1] < ends[0] - starts[0]
+    )
+    return "strobe" if even and whole else "code"
