@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from motdiff.trajectory import Trajectory
 
 __all__ = [
+    "ACROSS",
     "BandSamples",
     "band",
     "band_samples",
@@ -26,7 +27,8 @@ _STILL_PX = 1e-9  # widest path that stays in place: its |H| is that of a point,
 _STRAIGHT = 1e-9  # sideways px per px of extent below which a path counts as straight
 _NARROWEST = 1 / 256  # cycles/px: finest feature of a scene spectrum
 _MOST_INTERVALS, _LEAST_OVERSAMPLING = 2**18, 8  # beyond 8000 px memory counts: so many, while they still resolve H
-_ACROSS = 12  # Gauss-Legendre nodes along the lines on which a straight motion's OTF is constant
+ACROSS = 12
+"""Gauss-Legendre nodes along the lines on which a straight motion's OTF is constant."""
 
 
 @dataclass(frozen=True)
@@ -59,17 +61,17 @@ def band(size: int = 64) -> tuple[FloatArray, FloatArray]:
     return fx, fy
 
 
-def band_samples(trajectory: Trajectory, *, oversampling: int = 64) -> BandSamples:
+def band_samples(trajectory: Trajectory, *, oversampling: int = 64, across: int = ACROSS) -> BandSamples:
     """Make a quadrature that resolves |H| along ``trajectory`` for any code.
 
     H is the Fourier transform of something no wider than the path, so 1 / extent is its natural step. A straight
     motion takes ``oversampling`` samples per such step along its one axis, or at least 8 where that makes more than
     2^18, for thousands of px. A curved one takes the trapezoid rule on 64 intervals a side, or on as many as its
-    extent in px.
+    extent in px. The lines on which a straight motion's H is constant are crossed by ``across`` nodes.
     """
     axis = straight_axis(trajectory)
     if axis is not None:
-        return _along(axis, max(1.0, float(np.ptp(trajectory.xy @ axis))), oversampling)
+        return _along(axis, max(1.0, float(np.ptp(trajectory.xy @ axis))), oversampling, across)
     return grid_samples(max(64, 2 * int(np.ceil(trajectory.extent_px / 2))))
 
 
@@ -86,7 +88,7 @@ def grid_samples(side: int) -> BandSamples:
 
 def circle_samples(chips: int, *, oversampling: int = 64) -> BandSamples:
     """Make a quadrature over the unit circle of a code's polynomial: ``fx`` in cycles/chip, one chip a px."""
-    return _along(np.array([1.0, 0.0]), float(chips), oversampling)
+    return _along(np.array([1.0, 0.0]), float(chips), oversampling, ACROSS)
 
 
 def in_band(along: float, axis: FloatArray) -> tuple[float, float]:
@@ -123,23 +125,23 @@ def uniform_length_px(trajectory: Trajectory) -> float | None:
     return trajectory.length_px if np.abs(along - uniform).max() <= _STRAIGHT * trajectory.extent_px else None
 
 
-def _along(axis: FloatArray, extent_px: float, oversampling: int) -> BandSamples:
+def _along(axis: FloatArray, extent_px: float, oversampling: int, across: int) -> BandSamples:
     reach = 0.5 * float(np.abs(axis).sum())
     steps = max(4.0, extent_px * reach)
     intervals = int(np.ceil(min(oversampling * steps, max(_MOST_INTERVALS, _LEAST_OVERSAMPLING * steps))))
     s = np.linspace(0, reach, intervals + 1)
     # the line f.axis = s leaves the square at low and high, measured across
     low, high = np.full(s.size, -np.inf), np.full(s.size, np.inf)
-    for along, across in zip(axis, (-axis[1], axis[0]), strict=True):
-        if abs(across) > 1e-12:
-            ends = np.stack([(-0.5 - s * along) / across, (0.5 - s * along) / across])
+    for along, sideways in zip(axis, (-axis[1], axis[0]), strict=True):
+        if abs(sideways) > 1e-12:
+            ends = np.stack([(-0.5 - s * along) / sideways, (0.5 - s * along) / sideways])
             low, high = np.maximum(low, ends.min(axis=0)), np.minimum(high, ends.max(axis=0))
     weight = np.maximum(high - low, 0.0)
     weight[[0, -1]] *= 0.5
     # across the line a scene's 1 / (s^2 + q^2) peaks at q = 0: evenly spaced in asinh(q / width) resolves any width
     width = np.hypot(s, _NARROWEST)
     u_low, u_high = np.arcsinh(low / width), np.arcsinh(high / width)
-    nodes, shares = np.polynomial.legendre.leggauss(_ACROSS)
+    nodes, shares = np.polynomial.legendre.leggauss(across)
     u = 0.5 * (u_low + u_high)[:, None] + 0.5 * (u_high - u_low)[:, None] * nodes
     across_f = width[:, None] * np.sinh(u)
     share = shares * np.cosh(u)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.band import BandSamples, band_samples, circle_samples
+from cep.optics.band import ACROSS, BandSamples, band_samples, circle_samples
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import inverse_scene, noise_variance
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
@@ -50,6 +50,8 @@ class Objective:
     problem : SearchProblem
     oversampling : int
         Samples per 1 / extent on a straight motion; curved paths always take the full grid.
+    across : int
+        Nodes across a straight motion, as of :func:`cep.optics.band.band_samples`.
     dtype : numpy dtype
         float32 for searching, float64 for judging.
 
@@ -67,7 +69,9 @@ class Objective:
     scenario_shares : (scenarios,) ndarray
     """
 
-    def __init__(self, problem: SearchProblem, *, oversampling: int, dtype: type = np.float32) -> None:
+    def __init__(
+        self, problem: SearchProblem, *, oversampling: int, across: int = ACROSS, dtype: type = np.float32
+    ) -> None:
         self.problem = problem
         blocks: list[NDArray[Any]] = []
         parts: list[Part] = []
@@ -79,7 +83,7 @@ class Objective:
         ramps = problem.response is not None
         rows: NDArray[Any] = np.empty(0)
         for index, scenario in enumerate(problem.scenarios):
-            samples = band_samples(scenario.trajectory, oversampling=oversampling)
+            samples = band_samples(scenario.trajectory, oversampling=oversampling, across=across)
             for turned in problem.directions(scenario):
                 if turned and scenario.edges is None and not ramps:
                     rows = rows[::-1]  # the forward ones, which come first: the chips are met in the opposite order

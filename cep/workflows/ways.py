@@ -9,13 +9,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from cep.optics.band import ACROSS, straight_axis
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import anneal
 from cep.search.expected import WORTH_DB, collected_e, equal_light_noise, expected_psnr_db, light_noise
 from cep.search.light import best_snapshot, best_strobe, evenly_some
 from cep.search.limits import RunLimits
-from cep.search.objective import Objective
+from cep.search.objective import Objective, sample_count
 from cep.search.problem import SearchProblem
 
 __all__ = [
@@ -42,6 +43,9 @@ KINDS = (*PLAIN, *CODED)
 """All kinds, the simplest first."""
 
 _OVERSAMPLING = 8  # samples per 1 / extent while snapshots, strobes and codes are searched
+_LONG_COLUMNS = 1_024  # samples of a straight motion, some 250 px long, beyond which fewer do: docs/decisions/search.md
+_LONG_OVERSAMPLING, _LONG_ACROSS = 4, 6
+_SWAPS_WORK = 5_000_000  # terms of all swaps of two chips, beyond which a code is polished by flips alone
 _MOVES = 100_000  # of a search at one light level; four times as many gain less than 0.05 dB
 _MOST_RUNS = 1_000  # single exposures that are all judged with an error of the path
 _LENGTHS, _STARTS = 24, 16  # else so many lengths and starts
@@ -116,8 +120,13 @@ class WayFinder:
 
     def __init__(self, problem: SearchProblem) -> None:
         sought = replace(problem, objective="mse")
+        straight = all(straight_axis(one.trajectory) is not None for one in problem.scenarios)
+        long = straight and sample_count(sought, oversampling=_OVERSAMPLING) > _LONG_COLUMNS
+        over, across = (_LONG_OVERSAMPLING, _LONG_ACROSS) if long else (_OVERSAMPLING, ACROSS)
         self._fast = Objective(sought, oversampling=_OVERSAMPLING)
-        self._judge = Objective(sought, oversampling=_OVERSAMPLING, dtype=np.float64)
+        self._moved = Objective(sought, oversampling=over, across=across) if long else self._fast
+        self._judge = Objective(sought, oversampling=over, across=across, dtype=np.float64)
+        self._swaps = not long or problem.chips**2 // 4 * self._judge.shares_across.size <= _SWAPS_WORK
 
     def ordinary(self, camera: Camera, *, path_error_px: float = 0.0) -> list[ShutterCode]:
         """Return single exposures and even pulses to judge: the best by the expected error that do not saturate.
@@ -165,7 +174,7 @@ class WayFinder:
         found = anneal(
             sought, rng=np.random.default_rng([seed, 7]), steps=_MOVES, time_s=math.inf,
             start=[code for code in starts if sought.allows(code)], threads=threads,
-            judge=self._judge.for_problem(sought),
+            judge=self._judge.for_problem(sought), moved=self._moved.for_problem(sought), swaps=self._swaps,
         )  # fmt: skip
         if found.stopped == "interrupted":
             raise KeyboardInterrupt

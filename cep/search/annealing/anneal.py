@@ -110,6 +110,8 @@ def anneal(
     progress: Progress | None = None,
     threads: int | None = None,
     judge: Objective | None = None,
+    moved: Objective | None = None,
+    swaps: bool = True,
 ) -> SearchResult:
     """Search a code; anytime: a limit or Ctrl-C returns the best so far.
 
@@ -133,6 +135,12 @@ def anneal(
         As many as there are cores when omitted; the outcome does not depend on it.
     judge : Objective, optional
         The problem's on 64 samples per 1 / extent in float64, where it has been made already.
+    moved : Objective, optional
+        The problem's on 8 samples per 1 / extent in float32, by which the moves are judged, where it has been made
+        already.
+    swaps : bool
+        Whether the closing polish exchanges open chips for closed ones, besides flipping single chips: many times the
+        work.
 
     Raises
     ------
@@ -148,7 +156,7 @@ def anneal(
     given = [code.array for code in start]
     if any(bits.size != problem.chips for bits in given):
         raise ValueError(f"start: every code must have {problem.chips} chips")
-    coarse = Objective(problem, oversampling=_SEARCH_OVERSAMPLING)
+    coarse = moved or Objective(problem, oversampling=_SEARCH_OVERSAMPLING)
     elites = _Elites(coarse)
     seeds = np.array([*given, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
     elites.offer(seeds[problem.satisfied(seeds)])
@@ -180,7 +188,7 @@ def anneal(
 
     best, fine = elites.best(), judge or Objective(problem, oversampling=64, dtype=np.float64)
     found = Polished(best, fine.exact_cost(best), 0.0)
-    found, stopped = budget.polished(found, polish(fine, elites.ranked()), told, stopped=stopped)
+    found, stopped = budget.polished(found, polish(fine, elites.ranked(), swaps=swaps), told, stopped=stopped)
     metrics = problem.measure(found.code)
     return SearchResult(found.code, found.cost, metrics, time.monotonic() - started, budget.done, stopped)
 

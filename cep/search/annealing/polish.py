@@ -43,8 +43,8 @@ class Polished(NamedTuple):
     done: float
 
 
-def polish(fine: Objective, ranked: Codes) -> Iterator[Polished]:
-    """Evaluate (R, n) codes, best first, on the continuum, and climb from the leaders.
+def polish(fine: Objective, ranked: Codes, *, swaps: bool = True) -> Iterator[Polished]:
+    """Evaluate (R, n) codes, best first, on the continuum, and climb from the leaders by flips, and by ``swaps``.
 
     Yields
     ------
@@ -59,15 +59,15 @@ def polish(fine: Objective, ranked: Codes) -> Iterator[Polished]:
         yield Polished(leaders[0][2], leaders[0][0], 0.0)
     best, best_cost = leaders[0][2], leaders[0][0]
     for number, (start_cost, _, start) in enumerate(leaders):
-        for cost, code in _climb(fine, start, start_cost):
+        for cost, code in _climb(fine, start, start_cost, swaps=swaps):
             if cost < best_cost:
                 best, best_cost = code, cost
             yield Polished(best, best_cost, number / len(leaders))
 
 
-def _climb(fine: Objective, code: ShutterCode, cost: float) -> Iterator[tuple[float, ShutterCode]]:
+def _climb(fine: Objective, code: ShutterCode, cost: float, *, swaps: bool) -> Iterator[tuple[float, ShutterCode]]:
     """Go to the best neighbour until none is better; where it stands, after every piece of work."""
-    swaps = code.chips**2 // 4 * fine.rows[0].size * code.chips <= _MOST_WORK
+    swaps = swaps and code.chips**2 // 4 * fine.rows[0].size * code.chips <= _MOST_WORK
     while True:
         bits = code.array.astype(np.int8)
         codes, below = neighbours(fine.problem, bits, swaps=swaps), cost - 1e-9
