@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 __all__ = ["advise"]
 
+_SAME_TIME = 0.01  # relative: a device's ticks round the chip times
+
 
 def advise(
     trajectory: TrajectoryFile = None,
@@ -42,7 +44,10 @@ def advise(
     code: Annotated[
         list[str] | None,
         typer.Option(
-            "--code", metavar="CODE", help="A code to judge as well: bits, code.json or a name; may be repeated."
+            "--code",
+            metavar="CODE",
+            help="A code to judge as well: bits, code.json or a name; may be repeated. A file's chip time sets the "
+            "exposure.",
         ),
     ] = None,
     direction: Direction = "auto",
@@ -87,7 +92,7 @@ def advise(
     Example: cep advise --trajectory motion/trajectory.json --device sony-pregius --exposure 0.004
     """
     with progress("comparing") as tick:
-        from cep.codes.sources import load_code
+        from cep.codes.sources import load_code, stated_chip_ns
         from cep.io.outputs import claim
         from cep.plots import check_figure_name, save
         from cep.plots.advice import advice_figure
@@ -107,13 +112,15 @@ def advise(
         count = own[0].chips if own else chips
         profile = None if device is None else load_profile(device)
         seen_by, exposure_s = load_camera(camera, photons=photons, read_noise=read_noise), exposure_seconds(exposure)
-        exposure_s = ASSUMED_EXPOSURE_S if exposure_s is None else exposure_s
+        stated = {stated_chip_ns(source, one) for source, one in zip(code or (), own, strict=True)} - {None}
+        chip_ns = _chip_time_ns(stated, count, exposure_s)
 
         def problem_of(count: int) -> SearchProblem:
+            whole_s = ASSUMED_EXPOSURE_S if exposure_s is None else exposure_s
+            time = {"exposure_s": whole_s} if chip_ns is None else {"chip_ns": chip_ns}
             return SearchProblem.along(
-                motion.trajectory, chips=count, exposure_s=exposure_s, device=profile, direction=direction,
-                camera=seen_by,
-            )  # fmt: skip
+                motion.trajectory, chips=count, device=profile, direction=direction, camera=seen_by, **time
+            )
 
         error_px = path_error or 0.0
         gains: dict[int, float] = {}
@@ -125,12 +132,31 @@ def advise(
         advice = compare_ways(problem, *own, path_error_px=error_px, seed=seed, progress=part(tick, 0.4, 1.0))
         save(advice_figure(advice), output)
     judged = [way for one in own for way in advice.here.ways if way.code.bits == one.bits]
-    warnings = [] if exposure is not None else ["the exposure is taken as 50 ms; --exposure says how long it is"]
+    known = exposure is not None or chip_ns is not None
+    warnings = [] if known else ["the exposure is taken as 50 ms; --exposure says how long it is"]
     result = {
         **advice.to_dict(), "codes": [way.to_dict() for way in judged], "other_chips_db": gains, "plot": output,
         "seed": seed, "warnings": warnings,
     }  # fmt: skip
     finish(result, as_json=as_json, show=lambda console: _show(console, advice, judged, gains, output))
+
+
+def _chip_time_ns(stated: set[int | None], chips: int | None, exposure_s: float | None) -> int | None:
+    """Chip time that the files of --code state, ns; None where none does."""
+    from cep.io.formatting import duration
+
+    times_ns = sorted(time_ns for time_ns in stated if time_ns is not None)
+    if len(times_ns) > 1:
+        raise ValueError(f"--code: the files state chips of {' and '.join(duration(t * 1e-9) for t in times_ns)}")
+    if not times_ns or chips is None:
+        return None
+    whole_s = chips * times_ns[0] * 1e-9
+    if exposure_s is not None and abs(whole_s - exposure_s) > _SAME_TIME * exposure_s:
+        raise ValueError(
+            f"--exposure: {duration(exposure_s)} contradicts the file of --code, whose {chips} chips of "
+            f"{duration(times_ns[0] * 1e-9)} take {duration(whole_s)}; leave --exposure out"
+        )
+    return times_ns[0]
 
 
 def _show(

@@ -12,7 +12,7 @@ from cep.io.files import StoredCode, read_code
 from cep.optics.code import ShutterCode
 from motdiff.io.plugins import is_reference, load_object
 
-__all__ = ["code_file", "code_label", "find_code", "load_code", "load_codes"]
+__all__ = ["code_file", "code_label", "find_code", "load_code", "load_codes", "stated_chip_ns"]
 
 
 def load_code(source: str, *, chip_ns: int | None = None) -> ShutterCode:
@@ -38,16 +38,19 @@ def load_codes(sources: Sequence[str]) -> tuple[ShutterCode, ...]:
     """
     known = [None if source == "open" else load_code(source) for source in sources]
     chips = next((code.chips for code in known if code is not None), 1)
-    timed = (code for code, source in zip(known, sources, strict=True) if code is not None and _has_time(source))
-    chip_ns = next((code.chip_ns for code in timed), ShutterCode("1").chip_ns)
+    stated = [
+        None if code is None else stated_chip_ns(source, code) for source, code in zip(sources, known, strict=True)
+    ]
+    chip_ns = next((time_ns for time_ns in stated if time_ns is not None), ShutterCode("1").chip_ns)
     return tuple(
-        code if code is not None and _has_time(source) else ShutterCode(code.bits if code else "1" * chips, chip_ns)
-        for code, source in zip(known, sources, strict=True)
+        code if code is not None and time_ns is not None else ShutterCode(code.bits if code else "1" * chips, chip_ns)
+        for code, time_ns in zip(known, stated, strict=True)
     )
 
 
-def _has_time(source: str) -> bool:
-    return code_file(source) is not None or is_reference(source)
+def stated_chip_ns(source: str, code: ShutterCode) -> int | None:
+    """Return the chip time, ns, that comes with a code; None for bits and published names, which state none."""
+    return code.chip_ns if code_file(source) is not None or is_reference(source) else None
 
 
 def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:

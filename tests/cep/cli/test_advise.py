@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 
 from cep.cli.code_options import exposure_seconds
+from cep.io.files import StoredCode, write_code
 from cep.io.images import read_image
+from cep.optics.code import ShutterCode
 from cep.workflows.advise import COUNTS
 
 ALONG = ("--linear", "12", "--chips", "12")
@@ -52,6 +54,26 @@ def test_codes_of_ones_own_are_judged(cep, workplace):
     line = cep.refuses("advise", *ALONG, "--code", "1011", "-o", "other.png")
     assert "--code" in line
     assert not Path("other.png").exists()
+
+
+def test_the_chip_time_of_a_code_file_counts(cep, workplace):
+    """1 e-/ms of dark current: the longer the file's chips, the worse its code; another exposure contradicts it."""
+    Path("warm.toml").write_text("read_noise_e = 2.0\ndark_current_e_s = 100000.0\n")
+    given = (*ALONG, "--camera", "warm.toml", "--force", "-o", "advice.png")
+    found = {}
+    for chip_ns in (100_000, 4_000_000):
+        write_code("own.json", StoredCode(ShutterCode("110100101011", chip_ns)))
+        one = cep.succeeds("advise", *given, "--code", "own.json")
+        assert (one["chip_ns"], one["exposure_s"]) == (chip_ns, pytest.approx(12 * chip_ns * 1e-9))
+        assert one["warnings"] == []
+        found[chip_ns] = one["codes"][0]["psnr_db"]
+    assert found[100_000] > found[4_000_000] + 1
+    assert cep("advise", *given, "--code", "own.json", "--exposure", "48ms").code == 0
+    line = cep.refuses("advise", *given, "--code", "own.json", "--exposure", "20ms")
+    assert line.startswith("cep: --exposure: 20 ms contradicts the file of --code, whose 12 chips of 4 ms take 48 ms")
+    write_code("other.json", StoredCode(ShutterCode("110100101011", 100_000)))
+    line = cep.refuses("advise", *given, "--code", "own.json", "--code", "other.json")
+    assert line.startswith("cep: --code: the files state chips of")
 
 
 def test_chips_are_chosen_where_none_are_given(cep, workplace):
