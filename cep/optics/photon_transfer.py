@@ -1,6 +1,7 @@
 """Photon-transfer curve: gain, read noise and full well of a camera, from pairs of evenly lit frames.
 
-The difference of two frames of the same light holds noise alone: what is fixed to the pixels cancels. Over the mean the
+The difference of two frames of the same light, scaled to the same mean, holds noise alone: what is fixed to the pixels
+cancels. Over the mean the
 variance is a line, ``variance = (mean - black) / gain + read noise^2``, until the pixels saturate.
 
 References
@@ -30,7 +31,9 @@ _FIT_SHARE = 0.7  # of saturation: above it the response bends, EMVA 1288
 _CLIPPED = 0.005  # share of pixels at the end of the codes from which a pair's variance is too small
 _BLACK_CLIPPED = 0.1  # share of dark pixels at 0 from which the dark noise is not there to be seen
 _FALLEN = 0.1  # a brighter pair with so much less variance than a darker one is saturated
-_UNEQUAL = 0.05  # share by which the light of a pair's frames may differ
+_UNEQUAL = 0.05  # share by which the light of a pair's frames may differ: scaling them mends that to 0.1 %
+_ROUNDING = 1e-12  # of the variance over the pixels: that of frames that are the same
+_BANDED = 0.01  # part of a pair's variance that differences between lines may make up
 _UNSURE = 0.25  # relative error from which a gain is no result
 _EMVA_LEAST_NOISE_DN = 0.24  # below it quantisation hides the noise
 
@@ -41,21 +44,59 @@ class FramePair:
 
     Attributes
     ----------
-    mean, variance : float
-        Of one frame: mean, and variance over time, with the quantisation's.
-    difference : float
-        Mean of the second frame less that of the first.
+    means : (2,) float ndarray
+        Of each frame.
+    covariance : (2, 2) float ndarray
+        Over the pixels of the two frames.
+    lines : tuple of (2, K) float ndarray
+        Means of the rows of both frames, and of their columns; none of frames that are not two-dimensional.
     histogram : (65536,) int ndarray
         Pixels of both frames with each code value.
     pixels : int
         Of one frame.
     """
 
-    mean: float
-    variance: float
-    difference: float
+    means: FloatArray
+    covariance: FloatArray
+    lines: tuple[FloatArray, ...]
     histogram: NDArray[np.int64]
     pixels: int
+
+    @property
+    def mean(self) -> float:
+        """Mean of both frames."""
+        return float(self.means.mean())
+
+    @property
+    def difference(self) -> float:
+        """Mean of the second frame less that of the first."""
+        return float(self.means[1] - self.means[0])
+
+    def variance(self, black: float | None = None) -> float:
+        """Variance of one frame over time, with the quantisation's.
+
+        With the code value without light, the frames are brought to the same light first: uneven light and unequal
+        pixels would not cancel otherwise. What that does to the noise is of second order in the difference.
+        """
+        scale = self._scale(black)
+        found = float(scale @ self.covariance @ scale) / 2
+        return found if found > _ROUNDING * self.covariance.trace() else 0.0
+
+    def banding(self, black: float) -> float:
+        """Part of the variance that rows or columns of differing light make up; 0 where it is not significant."""
+        scale, variance, parts = self._scale(black), self.variance(black), [0.0]
+        for means in self.lines:
+            count = means.shape[1]
+            share = float((scale @ means).var(ddof=1)) / max(2 * variance, 1e-300)
+            chance = count / self.pixels  # of white noise
+            if share > chance * (1 + 5 * math.sqrt(2 / count)):
+                parts.append(share - chance)
+        return max(parts)
+
+    def _scale(self, black: float | None) -> FloatArray:
+        """Factors of the first frame and, with the sign of a difference, of the second."""
+        light = np.ones(2) if black is None else self.means - black
+        return np.array([-1.0, 1.0]) if light.min() <= 0 else light.mean() / light * [-1.0, 1.0]
 
     @classmethod
     def of(cls, first: ArrayLike, second: ArrayLike, *, codes: ArrayLike | None = None) -> FramePair:
@@ -78,11 +119,12 @@ class FramePair:
             raise ValueError(f"differ in size, {_size(one)} and {_size(two)} px")
         light = np.arange(65536.0) if codes is None else np.asarray(codes, dtype=np.float64)
         a, b = light[one], light[two]
-        change = b - a
+        means = np.array([a.mean(), b.mean()])
+        da, db = a.ravel() - means[0], b.ravel() - means[1]
         return cls(
-            mean=float((a.mean() + b.mean()) / 2),
-            variance=float(change.var(ddof=1)) / 2,
-            difference=float(change.mean()),
+            means=means,
+            covariance=np.array([[da @ da, da @ db], [da @ db, db @ db]]) / max(da.size - 1, 1),
+            lines=tuple(np.stack([a.mean(axis=axis), b.mean(axis=axis)]) for axis in (1, 0)) if a.ndim == 2 else (),
             histogram=np.bincount(one.ravel(), minlength=65536) + np.bincount(two.ravel(), minlength=65536),
             pixels=one.size,
         )
@@ -303,12 +345,17 @@ def photon_transfer(
         if black_dn is None:
             warnings.append("no dark frames: black is taken as code value 0, on which the read noise depends")
     for number, pair in enumerate(flats, 1):
-        if pair.variance == 0 and not _is_clipped(pair, codes):
+        if pair.variance() == 0 and not _is_clipped(pair, codes):
             raise ValueError(f"pair {number}: its frames are the same in every pixel; two exposures are needed")
         _check_flat(number, pair, black * codes.spacing, dark)
+        if (banding := pair.banding(black * codes.spacing)) > _BANDED and not _is_clipped(pair, codes):
+            warnings.append(
+                f"pair {number}: the light of its frames differs from line to line, by {banding:.0%} of their noise: "
+                "the light flickers, and the gain is too small"
+            )
     order = sorted(flats, key=lambda pair: pair.mean)
     signal = np.array([pair.mean for pair in order]) / codes.spacing - black
-    variance = np.array([_variance(pair, codes, response) for pair in order])
+    variance = np.array([_variance(pair, codes, response, black * codes.spacing) for pair in order])
     pixels = np.array([pair.pixels for pair in order])
     saturated = _saturated(order, variance, codes)
     if saturated.all():
@@ -351,14 +398,14 @@ def photon_transfer(
     )
 
 
-def _variance(pair: FramePair, codes: CodeRange, response: str) -> float:
-    """Variance over time without the quantisation's, code values squared."""
+def _variance(pair: FramePair, codes: CodeRange, response: str, black: float | None = None) -> float:
+    """Variance over time at the same light above black without the quantisation's, code values squared."""
     step = 1.0
     if response == "srgb":
         half, value = 0.5 / codes.top_dn, float(to_display(pair.mean / codes.spacing / codes.top_dn))
         low, high = to_linear(np.clip([value - half, value + half], 0, 1))
         step = float(high - low) * codes.top_dn
-    return pair.variance / codes.spacing**2 - step**2 / 12
+    return pair.variance(black) / codes.spacing**2 - step**2 / 12
 
 
 def _check_dark(dark: FramePair, variance_dn2: float) -> list[str]:
@@ -366,7 +413,7 @@ def _check_dark(dark: FramePair, variance_dn2: float) -> list[str]:
     at_zero = dark.histogram[0] / (2 * dark.pixels)
     if at_zero > _BLACK_CLIPPED:
         raise ValueError(f"dark: {at_zero:.0%} of its pixels are at code value 0; raise the camera's black level")
-    if dark.variance == 0:
+    if dark.variance() == 0:
         raise ValueError("dark: its frames are the same in every pixel; two exposures are needed")
     if at_zero > _CLIPPED:
         return [f"{at_zero:.1%} of the dark pixels are at code value 0: the read noise is larger than stated"]
@@ -376,7 +423,7 @@ def _check_dark(dark: FramePair, variance_dn2: float) -> list[str]:
 
 
 def _check_flat(number: int, pair: FramePair, black: float, dark: FramePair | None) -> None:
-    light, error = pair.mean - black, math.sqrt(2 * pair.variance / pair.pixels)
+    light, error = pair.mean - black, math.sqrt(2 * pair.variance() / pair.pixels)
     if light <= 5 * error:
         of = f"the dark frames, {black:g}" if dark is not None else f"black, {black:g}"
         raise ValueError(f"pair {number}: its mean of {pair.mean:.5g} is not above that of {of}; flats need light")

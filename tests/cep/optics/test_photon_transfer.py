@@ -54,6 +54,35 @@ def test_gain_within_2_and_read_noise_within_5_percent(name):
     assert not found.warnings
 
 
+@pytest.mark.parametrize("percent", [-4, 1, 3])
+def test_frames_of_a_pair_need_not_be_equally_bright(percent):
+    """Uneven light and unequal pixels cancel only between frames of the same light: the second is scaled to it."""
+    sensor = Sensor(2.6, 2.4, 40, 14, side=300, seed=4)
+    sensor.light **= 4  # of a lens that is darker in the corners
+    flats = [
+        FramePair.of(sensor.frame(level), sensor.frame(level * (1 + percent / 100))) for level in (1000, 5000, 15_000)
+    ]
+    found = photon_transfer(flats, codes=CodeRange(14), dark=sensor.pair(0))
+    assert found.gain_e_per_dn == pytest.approx(2.6, abs=4 * found.gain_error)
+    assert found.gain_error < 0.01 * 2.6
+    assert not found.warnings
+
+
+def test_light_that_flickers_within_a_frame_is_warned_of():
+    """A rolling shutter sees a lamp's flicker as bands, which no scaling mends."""
+    sensor = Sensor(2.6, 2.4, 40, 14)
+    still = sensor.light
+    flats = []
+    for level in (1000, 5000, 15_000):
+        sensor.light = still
+        first = sensor.frame(level)
+        sensor.light = still * (1 + 0.03 * np.sin(np.arange(256) / 9))[:, None]
+        flats.append(FramePair.of(first, sensor.frame(level)))
+    sensor.light = still
+    found = photon_transfer(flats, codes=CodeRange(14), dark=sensor.pair(0))
+    assert sum("differs from line to line" in line for line in found.warnings) == 3
+
+
 def test_the_errors_are_those_that_repeats_show():
     found = [Sensor(2.6, 5.0, 60, 12, side=96, seed=seed).measured((500, 2000, 6000)) for seed in range(40)]
     gains = np.array([one.gain_e_per_dn for one in found])
