@@ -97,8 +97,8 @@ def advise(
         from cep.plots import check_figure_name, save
         from cep.plots.advice import advice_figure
         from cep.search.problem import SearchProblem
-        from cep.workflows.advise import ASSUMED_EXPOSURE_S, suited_chips
         from cep.workflows.advise import advise as compare_ways
+        from cep.workflows.chip_count import ASSUMED_EXPOSURE_S, suited_chips
         from hw.device import load_profile
         from motdiff.io.trajectories import stated_uncertainty_px
 
@@ -123,7 +123,7 @@ def advise(
             )
 
         error_px = path_error or 0.0
-        gains: dict[int, float] = {}
+        gains: Mapping[int, float] = {}
         problem = None if count is None else problem_of(count)
         claim([output], force=force, inputs=[] if trajectory is None else [trajectory])
         if problem is None:
@@ -163,7 +163,7 @@ def _show(
     console: Console, advice: Advice, own: Sequence[Way], other_chips_db: Mapping[int, float], plot: Path
 ) -> None:
     from cep.io.formatting import duration
-    from cep.workflows.advise import in_words_of_chips
+    from cep.workflows.chip_count import in_words_of_chips
 
     here, problem = advice.here, advice.problem
     console.print(here.sentence)

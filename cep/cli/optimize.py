@@ -65,6 +65,7 @@ if TYPE_CHECKING:
 
     from cep.optics.code import ShutterCode
     from cep.search.recipe import Found
+    from cep.workflows.chip_count import ChipCount
     from cep.workflows.optimize import Optimum
     from motdiff.io.trajectories import StoredMotion
 
@@ -73,6 +74,11 @@ __all__ = ["optimize"]
 
 _STANDARD_CHIPS, _CHIP_NS = 52, 1_000_000
 _CHOOSING = 0.3  # of the time: the number of chips, where it is not given
+_LEAST_LEFT = 0.1  # of the time, for the search
+_FEWER = {
+    "time": "the time ended the choice of the number of chips: fewer numbers were tried",
+    "interrupted": "Ctrl-C ended the choice of the number of chips: fewer numbers were tried",
+}
 _COLUMNS = {
     "motion": "motion",
     "open": "open",
@@ -132,7 +138,8 @@ def optimize(
             "--time",
             metavar="S",
             rich_help_panel=SEARCH,
-            help="Search each code for so many seconds, however many moves that is: the code depends on the machine.",
+            help="Search each code for so many seconds, however many moves that is: the code depends on the machine. "
+            "The choice of the number of chips is within it.",
         ),
     ] = None,
     steps: Annotated[
@@ -200,8 +207,10 @@ def optimize(
     Example: cep optimize --all shots_motion --chips 40 --duty 0.4:0.6
     """
     with progress("counting codes" if method == "exact" else "searching") as tick:
-        from dataclasses import asdict
+        import time
+        from dataclasses import asdict, replace
         from functools import partial
+        from math import inf
 
         from cep.io.files import StoredCode, write_code
         from cep.io.outputs import claim
@@ -209,7 +218,7 @@ def optimize(
         from cep.search.exhaustive.exact import codes_to_count
         from cep.search.limits import RunLimits
         from cep.search.playable import chip_time_ns
-        from cep.workflows.advise import ASSUMED_EXPOSURE_S, suited_chips
+        from cep.workflows.chip_count import ASSUMED_EXPOSURE_S, choose_chips
         from cep.workflows.optimize import Search, searched_problem, stored_search
         from cep.workflows.optimize import optimize as find
         from hw.device import load_profile
@@ -304,16 +313,18 @@ def optimize(
                 show = optimize_frames(task(stored, trajectory), frames, run)
             else:
                 outputs = ([run.output], [] if trajectory is None else [trajectory])
-                others: Mapping[int, float] = {}
+                chosen: ChipCount | None = None
+                began = time.monotonic()
                 error_px = 0.0 if trajectory is None else stated_uncertainty_px(stored, trajectory) or 0.0
                 if chips is None and fixed is None and method == "anneal" and objective in (None, "mse"):
                     claim(outputs[0], force=force, inputs=outputs[1])
                     time_of_all_s = ASSUMED_EXPOSURE_S if exposure_s is None else exposure_s
-                    count, others = suited_chips(
+                    chosen = choose_chips(
                         lambda count: task(stored, trajectory, wish_of(count, time_of_all_s)).problem,
-                        path_error_px=error_px, seed=seed, progress=part(tick, 0.0, _CHOOSING),
+                        path_error_px=error_px, seed=seed, time_s=inf if time_s is None else _CHOOSING * time_s,
+                        progress=part(tick, 0.0, _CHOOSING),
                     )  # fmt: skip
-                    wish = wish_of(count, time_of_all_s)
+                    wish = wish_of(chosen.chips, time_of_all_s)
                 wanted = task(stored, trajectory, wish)
                 claim(outputs[0], force=force, inputs=outputs[1])
 
@@ -323,14 +334,22 @@ def optimize(
                     write_code(run.output, StoredCode(code, problem=stored_search(wanted.described, found)))
 
                 tick(0.0, f"{codes_to_count(searched_problem(wanted.problem)):.2g} codes" if method == "exact" else "")
+                left_s = time_s
+                if chosen is not None and time_s is not None:
+                    left_s = max(time_s - (time.monotonic() - began), _LEAST_LEFT * time_s)
                 best = find(
-                    wanted.problem, **asdict(how), along=wanted.along, path_error_px=error_px, figures=own,
-                    progress=part(tick, _CHOOSING if others else 0.0, 1.0), on_found=keep,
+                    wanted.problem, **(asdict(how) | {"time_s": left_s}), along=wanted.along, path_error_px=error_px,
+                    start=[] if chosen is None or chosen.code is None else [chosen.code],
+                    interrupted=chosen is not None and chosen.early == "interrupted", figures=own,
+                    progress=part(tick, 0.0 if chosen is None else _CHOOSING, 1.0), on_found=keep,
                 )  # fmt: skip
+                best = replace(best, how=how)  # the limit that a warning names is the one that was given
                 best.save(run.output, described=wanted.described)
+                others = {} if chosen is None else chosen.gains_db
+                fewer = [] if chosen is None or not chosen.early else [_FEWER[chosen.early]]
                 result = {
-                    "file": run.output, **best.to_dict(), **({"other_chips_db": others} if others else {}),
-                    "warnings": list(best.warnings),
+                    "file": run.output, **best.to_dict(), **({} if chosen is None else {"other_chips_db": others}),
+                    "warnings": [*best.warnings, *fewer],
                 }  # fmt: skip
                 show = run.shown(result, partial(_show, best=best, others=others, file=run.output))
     show()
@@ -340,7 +359,7 @@ def _show(console: Console, *, best: Optimum, others: Mapping[int, float], file:
     """Print a search and its comparison for people."""
     from cep.io.formatting import duration, number
     from cep.proofs.measure import figure_head, figure_in_words
-    from cep.workflows.advise import in_words_of_chips
+    from cep.workflows.chip_count import in_words_of_chips
 
     code, found, straight = best.code, best.found, best.along is None
     console.print(best.verdict.sentence)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any
@@ -17,20 +17,28 @@ from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.search.expected import WORTH_DB
 from cep.search.problem import SearchProblem
-from cep.workflows.ways import CODED, KINDS, PLAIN, Choice, Way, WayFinder, judged_ways, recordable, simplest
+from cep.workflows.ways import (
+    CODED,
+    KINDS,
+    NONE_POSSIBLE,
+    PLAIN,
+    Choice,
+    Way,
+    WayFinder,
+    best_possible,
+    can_record,
+    check_light,
+    judged_ways,
+    simplest,
+)
 
 __all__ = [
-    "ASSUMED_EXPOSURE_S",
-    "COUNTS",
     "LEVELS",
     "Advice",
     "Choice",
     "Verdict",
     "Way",
     "advise",
-    "best_psnr_db",
-    "in_words_of_chips",
-    "suited_chips",
     "verdict",
 ]
 
@@ -38,14 +46,7 @@ FloatArray = NDArray[np.float64]
 LEVELS = (100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
 """Photo-electrons at full scale at which the ways to expose are compared: from starlight to studio."""
 
-ASSUMED_EXPOSURE_S = 0.05
-"""Exposure where none is given and the number of chips is chosen: it must be the same for all."""
-
-COUNTS = (8, 16, 32, 52, 104)
-"""Numbers of chips that are tried where none is given."""
-
 _LEAST_LEVEL, _MOST_LEVEL = 1.0, 1e7
-_NONE_KEPT = "limits: none of the ways to expose that were tried keeps them without saturating"
 
 
 @dataclass(frozen=True)
@@ -290,12 +291,12 @@ def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 
         If the problem has no motion, even the shortest opening saturates at its light, or a code has another number
         of chips.
     """
-    _check(problem, codes)
+    check_light(problem)
+    _check_codes(problem, codes)
     ways = [*WayFinder(problem).ordinary(problem.camera, path_error_px=path_error_px), *codes]
     name = "this code" if len(codes) == 1 else "the best of these codes"
     found = judged_ways(problem, [problem.camera], ways, path_error_px=path_error_px)[0]
-    if not any(way.possible for way in found):
-        raise ValueError(_NONE_KEPT)
+    best_possible(found)
     return Verdict(problem.camera, found, name)
 
 
@@ -346,13 +347,14 @@ def advise(
     wrong = [level for level in levels if not _LEAST_LEVEL <= level <= _MOST_LEVEL]
     if wrong:
         raise ValueError(f"levels: must lie within 1..1e7 photo-electrons at full scale, got {wrong[0]:g}")
-    _check(problem, codes)
+    check_light(problem)
+    _check_codes(problem, codes)
     for scenario in problem.scenarios:
         check_frame(scenario.trajectory)
         check_resolved(scenario.trajectory, problem.chips)
     own = problem.camera.photons_full_scale
     every = [problem.camera.at(level) for level in sorted({*map(float, levels), own})]
-    cameras = [one for one in every if _can_record(replace(problem, camera=one))]
+    cameras = [one for one in every if can_record(replace(problem, camera=one))]
     finder, pool = WayFinder(problem), list(codes)
     parts = len(cameras) + 1
     for done, camera in enumerate(cameras):
@@ -367,104 +369,15 @@ def advise(
     )  # fmt: skip
     here = next((one for one in verdicts if one.camera.photons_full_scale == own), None)
     if here is None:
-        raise ValueError(_NONE_KEPT)
+        raise ValueError(NONE_POSSIBLE)
     progress(1.0, "")
     return Advice(problem, here, verdicts, path_error_px)
 
 
-def best_psnr_db(
-    problem: SearchProblem, *, path_error_px: float = 0.0, seed: int = 0, threads: int | None = None
-) -> float:
-    """Return the PSNR, dB, expected of the best way within the limits at the camera's light; see :func:`advise`."""
-    _check(problem, ())
-    finder = WayFinder(problem)
-    ordinary = finder.ordinary(problem.camera, path_error_px=path_error_px)
-    codes = [*ordinary, *finder.codes(problem.camera, ordinary, seed=seed, threads=threads)]
-    judged = judged_ways(problem, [problem.camera], codes, path_error_px=path_error_px)[0]
-    if not any(way.possible for way in judged):
-        raise ValueError(_NONE_KEPT)
-    return max(way.psnr_db for way in judged if way.possible)
-
-
-def suited_chips(
-    problem_of: Callable[[int], SearchProblem],
-    counts: Sequence[int] = COUNTS,
-    *,
-    path_error_px: float = 0.0,
-    seed: int = 0,
-    threads: int | None = None,
-    progress: Callable[[float, str], None] = lambda _share, _note: None,
-) -> tuple[int, dict[int, float]]:
-    """Choose the number of chips: the fewest with which the best way is within ``WORTH_DB`` of the best.
-
-    Parameters
-    ----------
-    problem_of : callable
-        Returns the problem with so many chips. It may raise ValueError for some, which are left out, as are those that
-        the motion does not resolve.
-    counts : sequence of int
-    path_error_px, seed, threads, progress
-        As of :func:`advise`.
-
-    Returns
-    -------
-    int, dict of int to float
-        And what the best way gains with each other number of chips over the one chosen, dB.
-
-    Raises
-    ------
-    ValueError
-        If none is left: as for the first of them.
-    """
-    reached: dict[int, float] = {}
-    refusal = ValueError("counts: needs at least one number of chips")
-    for done, count in enumerate(counts):
-        progress(done / len(counts), f"{count} chips")
-        try:
-            problem = problem_of(count)
-            check_resolved(problem.scenarios[0].trajectory, count)
-        except ValueError as error:
-            refusal = error if done == 0 else refusal
-        else:
-            reached[count] = best_psnr_db(problem, path_error_px=path_error_px, seed=seed, threads=threads)
-    progress(1.0, "")
-    if not reached:
-        raise refusal
-    best_db = max(reached.values())
-    found = min(count for count, psnr_db in reached.items() if psnr_db > best_db - WORTH_DB)
-    return found, {count: psnr_db - reached[found] for count, psnr_db in reached.items() if count != found}
-
-
-def in_words_of_chips(gains_db: Mapping[int, float]) -> str:
-    """Say what other numbers of chips would gain or lose, as :func:`suited_chips` returns it; empty for none.
-
-    Examples
-    --------
-    >>> in_words_of_chips({16: -0.52, 104: 0.04})
-    '16 chips would lose 0.52 dB, 104 gain 0.04 dB'
-    """
-    parts = [f"{'gain' if gain > 0 else 'lose'} {abs(gain):.2f} dB" for gain in gains_db.values()]
-    names = [f"{count} chips would" if i == 0 else str(count) for i, count in enumerate(gains_db)]
-    return ", ".join(f"{name} {part}" for name, part in zip(names, parts, strict=True))
-
-
-def _check(problem: SearchProblem, codes: Sequence[ShutterCode]) -> None:
-    """Refuse codes that do not suit the problem, and a light at which even the shortest opening saturates."""
-    if not problem.scenarios:
-        raise ValueError("scenarios: need a motion to advise on")
+def _check_codes(problem: SearchProblem, codes: Sequence[ShutterCode]) -> None:
+    """Refuse codes that do not suit the problem."""
     if any(code.chips != problem.chips for code in codes):
         raise ValueError(f"codes: must have {problem.chips} chips")
-    if not _can_record(problem):
-        camera, shortest = problem.camera, max(problem.open_limits[0], 1) / problem.chips
-        raise ValueError(
-            f"photons_full_scale: this camera is full at {camera.saturation_e:,.0f} electrons, and at a light level of "
-            f"{camera.photons_full_scale:,.0f} the shortest opening, {shortest:.2g} of the exposure, collects "
-            f"{camera.photons_full_scale * shortest:,.0f}; give less light"
-        )
-
-
-def _can_record(problem: SearchProblem) -> bool:
-    return any(recordable(problem, single=single) is not None for single in (True, False))
 
 
 def _restores(mark: str, *gains: str) -> str:

@@ -17,7 +17,8 @@ from cep.optics.path_limits import check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
 from cep.restoration import Restoration, restore
 from cep.search.problem import SearchProblem
-from cep.workflows.advise import LEVELS, Advice, advise, suited_chips
+from cep.workflows.advise import LEVELS, Advice, advise
+from cep.workflows.chip_count import suited_chips
 from cep.workflows.demo_scene import FoundMotion, Scene, find_motion
 from cep.workflows.ways import Choice, Way
 from hw.device import DeviceProfile

@@ -44,6 +44,7 @@ STANDARD_TIME_S = 60.0
 """Limit of an annealing that is given neither moves nor a time, seconds."""
 
 _SEARCH_SHARE = 0.9  # of the time: comparing and certifying take the rest
+_NO_TIME_S = 1e-9  # ends an annealing at its start
 _RELAXED = 128  # chips to which the relaxation takes seconds
 _ROUNDED = 16  # codes drawn from it
 
@@ -242,6 +243,8 @@ def optimize(
     time_s: float | None = None,
     effort: Literal["quick", "sdp"] = "quick",
     seed: int = 0,
+    start: Sequence[ShutterCode] = (),
+    interrupted: bool = False,
     along: Trajectory | None = None,
     path_error_px: float = 0.0,
     figures: Mapping[str, FigureOfMerit] | None = None,
@@ -259,6 +262,11 @@ def optimize(
     problem : SearchProblem
     method, steps, time_s, effort, seed
         As of :class:`Search`.
+    start : sequence of ShutterCode
+        Codes to start an annealing from, besides those that the code is compared with.
+    interrupted : bool
+        Whether Ctrl-C has ended the work already: the best of the codes to start from and to compare with is returned,
+        as after Ctrl-C in the search.
     along : Trajectory, optional
         What the certificate is for; the first scenario's path when omitted. Where the code's polynomial alone decides,
         it is for the unit circle.
@@ -297,11 +305,13 @@ def optimize(
     own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))  # one that fails does so before the search
     found = search(
         searched_problem(problem),
-        how,
+        replace(how, time_s=_NO_TIME_S) if interrupted else how,
+        start=start,
         length_px=mean_length_px(problem),
         threads=threads,
         progress=lambda share, best: progress(_SEARCH_SHARE * share, f"{best.open_chips} open"),
     )
+    found = replace(found, stopped="interrupted") if interrupted else found
     code = replace(found.code, chip_ns=problem.chip_ns)
     on_found(code, found)
     progress(_SEARCH_SHARE, "comparing with other codes")
@@ -346,6 +356,7 @@ def search(
     problem: SearchProblem,
     how: Search,
     *,
+    start: Sequence[ShutterCode] = (),
     length_px: float | None = None,
     threads: int | None = None,
     progress: Callable[[float, ShutterCode], None] | None = None,
@@ -356,6 +367,8 @@ def search(
     ----------
     problem : SearchProblem
     how : Search
+    start : sequence of ShutterCode
+        Codes to start an annealing from.
     length_px : float, optional
         Of the path, for the length-only code among the baselines; of the problem's when omitted.
     threads : int, optional
@@ -382,7 +395,7 @@ def search(
         rng=rng,
         steps=how.moves(problem),
         time_s=how.limit_s,
-        start=_rounded(problem, how.seed) if how.effort == "sdp" else (),
+        start=[*start, *(_rounded(problem, how.seed) if how.effort == "sdp" else ())],
         length_px=length_px,
         progress=progress,
         threads=threads,

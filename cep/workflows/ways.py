@@ -12,7 +12,7 @@ import numpy as np
 from cep.optics.band import ACROSS, straight_axis
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.search.annealing.anneal import anneal
+from cep.search.annealing.anneal import SearchResult, anneal
 from cep.search.expected import WORTH_DB, collected_e, equal_light_noise, expected_psnr_db, light_noise
 from cep.search.light import best_snapshot, best_strobe, evenly_some
 from cep.search.limits import RunLimits
@@ -22,10 +22,14 @@ from cep.search.problem import SearchProblem
 __all__ = [
     "CODED",
     "KINDS",
+    "NONE_POSSIBLE",
     "PLAIN",
     "Choice",
     "Way",
     "WayFinder",
+    "best_possible",
+    "can_record",
+    "check_light",
     "judged_ways",
     "recordable",
     "simplest",
@@ -41,6 +45,9 @@ CODED: tuple[Choice, ...] = ("strobe", "code")
 
 KINDS = (*PLAIN, *CODED)
 """All kinds, the simplest first."""
+
+NONE_POSSIBLE = "limits: none of the ways to expose that were tried keeps them without saturating"
+"""Refusal where no way can be advised."""
 
 _OVERSAMPLING = 8  # samples per 1 / extent while snapshots, strobes and codes are searched
 _LONG_COLUMNS = 1_024  # samples of a straight motion, some 250 px long, beyond which fewer do: docs/decisions/search.md
@@ -157,28 +164,35 @@ class WayFinder:
     def codes(
         self, camera: Camera, starts: Sequence[ShutterCode], *, seed: int, threads: int | None
     ) -> list[ShutterCode]:
-        """Search the code of least expected error within the limits; none where every code would saturate.
-
-        A snapshot may have less noise from dark current. It is charged that of a code here, or the search would end on
-        it.
+        """Return the code that :meth:`search` finds, in a list; an empty one where every code would saturate.
 
         Raises
         ------
         KeyboardInterrupt
             After Ctrl-C.
         """
+        found = self.search(camera, starts, seed=seed, threads=threads)
+        if found is not None and found.stopped == "interrupted":
+            raise KeyboardInterrupt
+        return [] if found is None else [found.code]
+
+    def search(
+        self, camera: Camera, starts: Sequence[ShutterCode], *, seed: int, threads: int | None, time_s: float = math.inf
+    ) -> SearchResult | None:
+        """Search the code of least expected error within the limits; None where every code would saturate.
+
+        A snapshot may have less noise from dark current. It is charged that of a code here, or the search would end on
+        it. The time or Ctrl-C ends the search with the best code so far.
+        """
         kept = recordable(replace(self._judge.problem, camera=camera), single=False)
         if kept is None:
-            return []
+            return None
         sought = replace(kept, camera=camera.with_dark_noise(kept.chips * kept.chip_ns * 1e-9))
-        found = anneal(
-            sought, rng=np.random.default_rng([seed, 7]), steps=_MOVES, time_s=math.inf,
+        return anneal(
+            sought, rng=np.random.default_rng([seed, 7]), steps=_MOVES, time_s=time_s,
             start=[code for code in starts if sought.allows(code)], threads=threads,
             judge=self._judge.for_problem(sought), moved=self._moved.for_problem(sought), swaps=self._swaps,
         )  # fmt: skip
-        if found.stopped == "interrupted":
-            raise KeyboardInterrupt
-        return [found.code]
 
 
 def recordable(problem: SearchProblem, *, single: bool) -> SearchProblem | None:
@@ -206,6 +220,29 @@ def recordable(problem: SearchProblem, *, single: bool) -> SearchProblem | None:
         return replace(problem, open_range=(low, most))
     except ValueError:  # the limits ask for more open chips
         return None
+
+
+def can_record(problem: SearchProblem) -> bool:
+    """Whether the camera can record at least the shortest opening within the limits."""
+    return any(recordable(problem, single=single) is not None for single in (True, False))
+
+
+def check_light(problem: SearchProblem) -> None:
+    """Refuse a problem without a motion, and a light at which even the shortest opening saturates.
+
+    Raises
+    ------
+    ValueError
+    """
+    if not problem.scenarios:
+        raise ValueError("scenarios: need a motion to advise on")
+    if not can_record(problem):
+        camera, shortest = problem.camera, max(problem.open_limits[0], 1) / problem.chips
+        raise ValueError(
+            f"photons_full_scale: this camera is full at {camera.saturation_e:,.0f} electrons, and at a light level of "
+            f"{camera.photons_full_scale:,.0f} the shortest opening, {shortest:.2g} of the exposure, collects "
+            f"{camera.photons_full_scale * shortest:,.0f}; give less light"
+        )
 
 
 def judged_ways(
@@ -236,6 +273,20 @@ def judged_ways(
             )
         )
     return judged
+
+
+def best_possible(ways: Sequence[Way]) -> Way:
+    """Return the way of the highest expected PSNR that keeps the limits and does not saturate.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    best = max((way for way in ways if way.possible), key=lambda way: way.psnr_db, default=None)
+    if best is None:
+        raise ValueError(NONE_POSSIBLE)
+    return best
 
 
 def simplest(ways: Sequence[Way]) -> Way:

@@ -9,7 +9,7 @@ from cep.cli.code_options import exposure_seconds
 from cep.io.files import StoredCode, write_code
 from cep.io.images import read_image
 from cep.optics.code import ShutterCode
-from cep.workflows.advise import COUNTS
+from cep.workflows.chip_count import COUNTS
 
 ALONG = ("--linear", "12", "--chips", "12")
 FIELDS = {"verdict", "choice", "gains_db", "equal_light_gains_db", "crossover", "levels", "chips", "exposure_s", "plot"}

@@ -15,7 +15,7 @@ from cep.optics.exposure import coded_otf
 from cep.search.expected import WORTH_DB, expected_psnr_db, light_noise
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
-from cep.workflows.advise import advise, suited_chips, verdict
+from cep.workflows.advise import advise, verdict
 from hw.device import DeviceProfile
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
@@ -244,23 +244,6 @@ def test_dark_current_is_of_no_account_to_a_snapshot_and_turns_the_verdict():
     assert fixed.choice == "code"
     assert warm.gains_db["code"] == pytest.approx(fixed.gains_db["code"], abs=0.1)
     assert warm.gains_db["snapshot"] > fixed.gains_db["snapshot"] + 1
-
-
-def test_the_number_of_chips_is_the_smallest_that_is_as_good():
-    made = {}
-
-    def problem_of(count):
-        if count > 24:
-            raise ValueError("chips: too many")
-        made[count] = along(chips=count, camera=NOISY)
-        return made[count]
-
-    count, gains = suited_chips(problem_of, (6, 12, 24, 48))
-    assert set(made) == {6, 12, 24}
-    assert set(gains) == set(made) - {count}
-    assert all(gain <= WORTH_DB for gain in gains.values())
-    with pytest.raises(ValueError, match="chips: too many"):
-        suited_chips(problem_of, (48,))
 
 
 @pytest.mark.parametrize("level", [0.5, 2e7, float("nan")])
