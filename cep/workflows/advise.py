@@ -297,7 +297,11 @@ def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 
     name = "this code" if len(codes) == 1 else "the best of these codes"
     found = judged_ways(problem, [problem.camera], ways, path_error_px=path_error_px)[0]
     best_possible(found)
-    return Verdict(problem.camera, found, name)
+    judged = Verdict(problem.camera, found, name)
+    best = judged.best("code")
+    if best is None or best.code.bits in {code.bits for code in codes}:
+        return judged
+    return replace(judged, code_name=_pulses(best.code))  # even pulses that are no code of the user's
 
 
 def advise(
@@ -417,7 +421,7 @@ def _pulses(code: ShutterCode) -> str:
 def _share(code: ShutterCode) -> str:
     """Open part of the exposure in words, with its time."""
     part = code.chips / code.open_chips
-    share = f"1/{part:.2g}" if part >= 2 else f"{100 / part:.0f} %"
+    share = f"1/{float(f'{part:.2g}'):g}" if part >= 2 else f"{100 / part:.0f} %"
     opened, whole = (count * code.chip_ns * 1e-9 for count in (code.open_chips, code.chips))
     return f"{share} of the time ({duration(opened)} of {duration(whole)})"
 

@@ -76,6 +76,21 @@ def test_the_kinds_of_a_verdict():
     ]  # fmt: skip
 
 
+def test_the_sentence_names_what_was_judged():
+    """A code of one opening is a snapshot: what it is compared with are even pulses, and not "this code"."""
+    found = verdict(along(camera=QUIET), ShutterCode("1" + "0" * 23))
+    assert found.choice == "snapshot"
+    assert "this code" not in found.sentence
+    assert " pulses of " in found.sentence
+
+
+def test_a_short_share_is_said_in_digits():
+    camera = Camera(photons_full_scale=1e6, read_noise_e=1)
+    found = verdict(along(Trajectory.straight(400.0), 104, camera=camera))
+    assert found.advised.code.open_chips == 1
+    assert "expose 1/100 of the time" in found.sentence
+
+
 def test_fixed_noise_makes_coding_pay_and_photon_noise_does_not():
     noisy, quiet = (advise(along(camera=camera), levels=[1_000, 100_000]) for camera in (NOISY, QUIET))
     assert noisy.choice == "code"
