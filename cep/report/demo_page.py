@@ -19,7 +19,7 @@ from cep.plots import before_after, code_strips, mtf_figure, psf_figure
 from cep.plots.advice import advice_figure
 from cep.report.motion_section import motion_section
 from cep.report.result_page import Picture, Report, Section, Table, picture
-from cep.search.expected import WORTH_DB
+from cep.search.expected import WORTH_DB, light_noise
 from hw.device import load_profile, profile_names
 from hw.program import Program
 from motdiff.crops import luminance
@@ -87,7 +87,7 @@ def share_below_noise(path: Trajectory, code: ShutterCode | None, camera: Camera
     """
     samples = grid_samples(_INTERVALS)
     power = mtf(path, code, samples.fx, samples.fy) ** 2
-    noise = noise_variance(camera, 1.0 if code is None else code.duty)
+    noise = noise_variance(camera, 1.0) if code is None else light_noise(camera, [code])[0]
     return float(samples.weight @ (power < noise * inverse_scene(samples)[:, 0]))
 
 

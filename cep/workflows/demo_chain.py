@@ -234,8 +234,10 @@ def run_chain(
     rng = np.random.default_rng([seed, 3])
 
     def photographed(ways: dict[str, Way]) -> dict[str, FloatArray]:
-        taken = {kind: capture(sharp, coded_psf(truth, way.code, frame), camera=camera, rng=rng)
-                 for kind, way in ways.items()}  # fmt: skip
+        taken = {
+            kind: capture(sharp, coded_psf(truth, way.code, frame), camera=_with_dark_noise(camera, way), rng=rng)
+            for kind, way in ways.items()
+        }
         return taken if scene.sharp is None else {**taken, "open": scene.photo}
 
     clock.begin(_RESTORED, "restoring")
@@ -306,7 +308,9 @@ def _shots(
 
     def restored(kind: str, path: Trajectory) -> Restoration:
         code = None if kind == "open" else ways[kind].code
-        return restore(photos[kind], trajectory=path, code=code, method=_RESTORATION, camera=camera)
+        return restore(
+            photos[kind], trajectory=path, code=code, method=_RESTORATION, camera=_with_dark_noise(camera, ways[kind])
+        )
 
     found = {"open": restored("open", motion)}
     for kind in list(ways)[1:]:
@@ -332,6 +336,10 @@ def _shots(
         )
         for kind, way in ways.items()
     )  # fmt: skip
+
+
+def _with_dark_noise(camera: Camera, way: Way) -> Camera:
+    return camera.with_dark_noise(way.code.integration_ns * 1e-9)
 
 
 def _grey(image: FloatArray) -> FloatArray:
