@@ -1,10 +1,11 @@
-"""Restoration of blurred and coded photos: inverse, Wiener, TV, L0, a denoiser; real borders; blind PSFs; orders."""
+"""Restoration of blurred photos: inverse, Wiener, TV, L0, a denoiser; borders, clipping; blind PSFs; orders in time."""
 
 from cep.restoration.blind import FoundPsf, find_psf
+from cep.restoration.clipping import fill_clipped
 from cep.restoration.direction import DirectionResult, compare_psfs, detect_direction
 from cep.restoration.inverse import inverse_filter
 from cep.restoration.l0 import l0, tv_less_ringing
-from cep.restoration.methods import METHODS, Restoration, find_method, misfit, restore, saturated
+from cep.restoration.methods import METHODS, Restoration, find_method, misfit, restore
 from cep.restoration.pnp import pnp
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
@@ -16,6 +17,7 @@ __all__ = [
     "Restoration",
     "compare_psfs",
     "detect_direction",
+    "fill_clipped",
     "find_method",
     "find_psf",
     "inverse_filter",
@@ -23,7 +25,6 @@ __all__ = [
     "misfit",
     "pnp",
     "restore",
-    "saturated",
     "tv",
     "tv_less_ringing",
     "wiener",

@@ -14,12 +14,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cep.restoration.clipping import fill_clipped, lights_cut
 from cep.restoration.methods import misfit
 from cep.restoration.noise import fit_spectrum
 from cep.restoration.spectral import channels_first, channels_last, trimmed_psf
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
-from motdiff.crops import luminance, pick_crops
+from motdiff.crops import clipped_mask, luminance, pick_crops
 from motdiff.estimators.kernel_score import noise_sigma
 from motdiff.threads import side_by_side
 
@@ -35,7 +36,7 @@ _LEAST_SIGMA = 1e-3
 # in dB of PSNR that a factor of e in the residual, and a full scale of impossible light (rms), cost on simulated photos
 _RESIDUAL_DB, _IMPOSSIBLE_DB = 0.3, 88.0
 _NO_SPARSER = 0.95  # of the photo's own gradients
-_MOST_IMPOSSIBLE = 0.15  # rms, of the photo's standard deviation
+_MOST_IMPOSSIBLE, _MOST_IMPOSSIBLE_BESIDE_LIGHTS = 0.15, 0.075  # rms, of the photo's standard deviation
 _WRONG_PSF = 20.0  # an estimated PSF errs by more than the noise: factor of its variance for the Wiener filter
 _TV_WEIGHT, _TV_SIGMA = 1e-3, 0.007  # the default weight, good up to this noise; above it grows as the noise's power
 
@@ -79,12 +80,14 @@ def choose_psf(photo: ArrayLike, psfs: Mapping[str, ArrayLike], *, prior_db: Map
     side = min(_CROP_PX, *grey.shape)
     row, column = pick_crops(grey, size=side, count=1)[0]
     crop = np.ascontiguousarray(grey[row : row + side, column : column + side])
+    clipped = clipped_mask(photo)[row : row + side, column : column + side]
     sigma = max(noise_sigma(crop), _LEAST_SIGMA)
     own = _sparsity(crop)
     scores, sparsity = {}, {}
     for name, psf in psfs.items():
-        restored = tv(crop, psf, weight=_tv_weight(sigma))
-        residual = max(misfit(crop, restored, psf), sigma)
+        restored = tv(fill_clipped(crop, psf, clipped=clipped), psf, weight=_tv_weight(sigma))
+        residual = max(misfit(crop, restored, psf, clipped=clipped), sigma)
+        restored = lights_cut(restored, clipped, psf)
         scores[name] = float(
             prior_db[name] - _RESIDUAL_DB * np.log(residual / sigma) - _IMPOSSIBLE_DB * _impossible(restored)
         )
@@ -105,7 +108,7 @@ def restore_chosen(photo: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, str]:
     -------
     float64 like ``photo``, not clipped, and the name of the method
     """
-    channels = channels_first(photo)
+    channels = channels_first(fill_clipped(photo, psf))
     if channels[0].size <= LARGE_PX:
         weight = _tv_weight(noise_sigma(channels.mean(axis=0)))
         jobs = [partial(tv, channel, psf, weight=weight) for channel in channels]
@@ -129,9 +132,20 @@ def restore_chosen(photo: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, str]:
     return channels_last(np.stack(side_by_side(jobs))), "wiener"
 
 
-def is_possible_light(restored: ArrayLike, photo: ArrayLike) -> bool:
-    """Whether a restoration stays within 0..1, but for a small share of the contrast of its photo."""
-    return _impossible(np.asarray(restored)) <= _MOST_IMPOSSIBLE * float(np.std(luminance(photo)))
+def is_possible_light(restored: ArrayLike, photo: ArrayLike, psf: ArrayLike) -> bool:
+    """Whether a restoration stays within 0..1, but for a small share of the contrast of its photo.
+
+    Lights that clipped the photo may be brighter than 1. Their ringing shows only where it is dark, so less is allowed.
+
+    Parameters
+    ----------
+    restored, photo : (H, W) or (H, W, 3) array_like, linear light
+    psf : (S, S) array_like
+        What it was restored with.
+    """
+    clipped = clipped_mask(photo)
+    most = _MOST_IMPOSSIBLE_BESIDE_LIGHTS if clipped.any() else _MOST_IMPOSSIBLE
+    return _impossible(lights_cut(restored, clipped, psf)) <= most * float(np.std(luminance(photo)))
 
 
 def _impossible(restored: FloatArray) -> float:

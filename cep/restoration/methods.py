@@ -16,6 +16,7 @@ from cep.io.images import encode_image, write_image
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.blind import find_psf
+from cep.restoration.clipping import fill_clipped
 from cep.restoration.direction import DirectionResult, detect_direction
 from cep.restoration.inverse import inverse_filter
 from cep.restoration.l0 import l0, tv_less_ringing
@@ -23,11 +24,12 @@ from cep.restoration.pnp import pnp
 from cep.restoration.spectral import channels_first, trimmed_psf
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
+from motdiff.crops import CLIPPED_LEVEL, clipped_mask
 from motdiff.io.plugins import is_reference, load_object
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
-__all__ = ["METHODS", "Restoration", "find_method", "misfit", "restore", "saturated"]
+__all__ = ["METHODS", "Restoration", "find_method", "misfit", "restore"]
 
 FloatArray = NDArray[np.float64]
 METHODS: Mapping[str, Callable[..., FloatArray]] = {
@@ -38,7 +40,6 @@ METHODS: Mapping[str, Callable[..., FloatArray]] = {
     "tv-ring": tv_less_ringing,
     "pnp": pnp,
 }
-_CLIPPED = 0.995
 _FULL_LIGHT = 1.001  # 1, but for rounding
 _WORTH_TELLING = 1e-3
 _SEARCH_SHARE = 0.9  # of the time of a blind restoration
@@ -62,7 +63,7 @@ class Restoration:
     direction_test : DirectionResult or None
         The test, where there was one.
     residual : float
-        RMS of the reblurred result against the photo, away from the borders; full-scale units.
+        RMS of the reblurred result against the photo, away from borders and clipped pixels; full-scale units.
     unreliable_px : int
         Width of the border strip that leans on a guess of the scene outside the frame.
     saturated_fraction : float
@@ -110,7 +111,8 @@ def restore(
 
     Along a trajectory of unknown direction a coded photo is tested for its orders in time, see
     :func:`cep.restoration.direction.detect_direction`. Without trajectory and PSF the PSF is searched in the photo, see
-    :func:`cep.restoration.blind.find_psf`.
+    :func:`cep.restoration.blind.find_psf`. Clipped pixels are replaced before a method of ours,
+    see :func:`cep.restoration.clipping.fill_clipped`.
 
     Parameters
     ----------
@@ -181,12 +183,14 @@ def restore(
                 "the photo comes out darker by that factor"
             )
     reach = kernel.shape[0] // 2
-    clipped = float(saturated(photo).mean())
+    clipped = float(clipped_mask(photo).mean())
+    fills = apply in METHODS.values()  # a function of the user's own gets the photo as it is
     if clipped > _WORTH_TELLING:
-        notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: expect ringing around them")
+        meaning = "their light was inferred from the other pixels" if fills else "expect ringing around them"
+        notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: {meaning}")
     if 4 * reach > min(channels.shape[1:]):
         notes.append(f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x {channels.shape[1]} px")
-    image = np.asarray(apply(photo, psf, **options), dtype=np.float64)
+    image = np.asarray(apply(fill_clipped(photo, psf) if fills else photo, psf, **options), dtype=np.float64)
     if image.shape != np.shape(photo):
         raise ValueError(f"method: {named} returned an image of shape {image.shape}, wanted {np.shape(photo)}")
     progress(1.0, "restoring")
@@ -224,17 +228,19 @@ def _check_reach(name: str, reach_px: int, channels: FloatArray) -> None:
         )
 
 
-def misfit(photo: ArrayLike, restored: ArrayLike, psf: ArrayLike) -> float:
-    """RMS of ``restored`` reblurred minus ``photo``, over the pixels that the PSF reaches from inside; NaN if none."""
+def misfit(photo: ArrayLike, restored: ArrayLike, psf: ArrayLike, *, clipped: ArrayLike | None = None) -> float:
+    """RMS of ``restored`` reblurred minus ``photo``, over the pixels that the PSF reaches from inside; NaN if none.
+
+    Clipped pixels are left out: the (H, W) bool ``clipped``, or those of each channel at the clipped level.
+    """
     channels, latent, kernel = channels_first(photo), channels_first(restored), trimmed_psf(psf)
     reach = kernel.shape[0] // 2
     if min(channels.shape[1:]) <= 2 * reach:
         return float("nan")
-    inside = channels[:, reach : channels.shape[1] - reach, reach : channels.shape[2] - reach]
+    window = (..., slice(reach, channels.shape[1] - reach), slice(reach, channels.shape[2] - reach))
+    seen = channels < CLIPPED_LEVEL if clipped is None else np.broadcast_to(~np.asarray(clipped), channels.shape)
     again = np.stack([signal.fftconvolve(channel, kernel, mode="valid") for channel in latent])
-    return float(np.sqrt(np.mean((again - inside) ** 2)))
-
-
-def saturated(photo: ArrayLike) -> NDArray[np.bool_]:
-    """Pixels (H, W) of a 0..1 photo that are clipped at full scale, in any channel."""
-    return np.asarray((channels_first(photo) >= _CLIPPED).any(axis=0))
+    squares = (again - channels[window]) ** 2
+    if not seen[window].all():
+        squares = squares[seen[window]]
+    return float(np.sqrt(np.mean(squares))) if squares.size else float("nan")

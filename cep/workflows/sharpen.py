@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cep.restoration.choice import choose_psf, is_possible_light, restore_chosen
-from cep.restoration.methods import misfit, saturated
+from cep.restoration.methods import misfit
 from cep.restoration.spectral import trimmed_psf
+from motdiff.crops import clipped_mask
 from motdiff.estimators.base import MotionEstimate
 from motdiff.psf_frame import PSF_PX
 
@@ -105,7 +106,7 @@ def sharpen(
         estimate = estimate_motion(
             pixels, seed=seed, progress=lambda share, what: progress(_SEARCH_SHARE * share, what)
         )
-    clipped = float(saturated(pixels).mean())
+    clipped = float(clipped_mask(pixels).mean())
     notes = []
 
     def kept(summary: str) -> Sharpened:
@@ -132,14 +133,14 @@ def sharpen(
         return kept("No restoration is sharper than the photo without ringing: the photo is kept as it is")
     psf = psfs[choice.name]
     image, method = restore_chosen(pixels, psf)
-    if not is_possible_light(image, pixels):
+    if not is_possible_light(image, pixels, psf):
         return kept("The restored photo would have dark and bright halos: the photo is kept as it is")
     if method == "wiener":
         notes.append(
             "the photo is large: it was restored by the Wiener filter, which is fast; --method tv takes longer"
         )
     if clipped > _CLIPPED_SHARE:
-        notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: expect ringing around them")
+        notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: their light was inferred from the other pixels")
     reach = trimmed_psf(psf).shape[0] // 2
     found = "the blur kernel found in it" if choice.name == "psf" else "the path found in it"
     progress(1.0, "restoring")

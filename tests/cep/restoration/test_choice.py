@@ -37,14 +37,14 @@ def test_a_sharp_photo_is_restored_with_none():
     photo = SCENE + 0.003 * np.random.default_rng(0).standard_normal(SCENE.shape)
     wide = Trajectory.straight(40.0).psf(65)
     assert choose_psf(photo, {"a": wide}, prior_db=EVEN).name is None or not is_possible_light(
-        restore_chosen(photo, wide)[0], photo
+        restore_chosen(photo, wide)[0], photo, wide
     )
 
 
 def test_light_beyond_black_and_white_is_impossible():
-    assert is_possible_light(SCENE, SCENE)
-    assert is_possible_light(1.02 * SCENE - 0.01, SCENE)
-    assert not is_possible_light(3 * (SCENE - 0.3), SCENE)
+    assert is_possible_light(SCENE, SCENE, RIGHT)
+    assert is_possible_light(1.02 * SCENE - 0.01, SCENE, RIGHT)
+    assert not is_possible_light(3 * (SCENE - 0.3), SCENE, RIGHT)
 
 
 def test_a_restored_photo_is_nearer_the_scene_in_every_colour():

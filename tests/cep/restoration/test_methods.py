@@ -7,7 +7,7 @@ from skimage import data
 
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
-from cep.restoration import inverse_filter, l0, misfit, restore, saturated, tv, tv_less_ringing, wiener
+from cep.restoration import inverse_filter, l0, misfit, restore, tv, tv_less_ringing, wiener
 from cep.restoration.spectral import otf_on_grid, trimmed_psf
 from cep.restoration.tv import divergence, shrink_gradients
 from motdiff.simulate import visible
@@ -169,13 +169,6 @@ def test_misfit_of_the_truth_is_the_noise(scene):
     photo = ndimage.convolve(truth, trimmed_psf(psf)) + 0.01 * np.random.default_rng(0).standard_normal(truth.shape)
     assert misfit(photo, truth, psf) == pytest.approx(0.01, rel=0.03)
     assert np.isnan(misfit(photo[:5, :5], truth[:5, :5], psf))
-
-
-def test_saturated_looks_at_any_channel():
-    photo = np.zeros((4, 5, 3))
-    photo[1, 2, 0] = 1.0
-    assert saturated(photo).sum() == 1
-    assert saturated(photo)[1, 2]
 
 
 @pytest.mark.parametrize("method", ALL)
