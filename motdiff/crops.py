@@ -15,6 +15,7 @@ __all__ = [
     "CROP_PX",
     "LEAST_PX",
     "best_crops",
+    "best_windows",
     "blur_differs_warning",
     "brightened",
     "check_size",
@@ -182,13 +183,18 @@ def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list
     return chosen
 
 
-def best_crops(grey: FloatArray, *, count: int) -> FloatArray:
-    """Crops (C, h, w) of a photo (H, W) in which its blur is searched: the whole of it, or :func:`pick_crops` of it."""
+def best_windows(grey: FloatArray, *, count: int) -> list[tuple[slice, slice]]:
+    """Parts of a photo (H, W) in which its blur is searched: the whole of it, or :func:`pick_crops` of it."""
     if max(grey.shape) <= _WHOLE * CROP_PX:
-        return grey[None]
+        return [(slice(0, grey.shape[0]), slice(0, grey.shape[1]))]
     size = min(CROP_PX, *grey.shape)
     corners = pick_crops(grey, size=size, count=count)
-    return np.stack([grey[row : row + size, column : column + size] for row, column in corners])
+    return [(slice(row, row + size), slice(column, column + size)) for row, column in corners]
+
+
+def best_crops(grey: FloatArray, *, count: int) -> FloatArray:
+    """Crops (C, h, w) of a photo (H, W) in which its blur is searched, see :func:`best_windows`."""
+    return np.stack([grey[window] for window in best_windows(grey, count=count)])
 
 
 def uniformity(psfs: Sequence[ArrayLike]) -> float:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from motdiff.crops import CROP_PX, best_crops, textured_luminance
+from motdiff.crops import CROP_PX, best_windows, clipped_mask, textured_luminance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.doubts import doubted
 from motdiff.estimators.kernel_score import uneven_blur_warning
+from motdiff.estimators.lights import MOST_LIGHTS, without_lights
 from motdiff.metrics import mnc_subpixel
 from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
@@ -75,7 +76,8 @@ class Found:
 class BlindEstimator(ABC):
     """Estimator from the blurred photo alone: its subclasses search the kernel of crops, at one scale.
 
-    Where the blur outgrows the search, or is lost in a large photo, the photo is halved and tried again.
+    Where the blur is lost in a photo with clipped lights, it is searched again without them. Where it outgrows the
+    search, or is lost in a large photo, the photo is halved and tried again.
 
     Parameters
     ----------
@@ -129,10 +131,13 @@ class BlindEstimator(ABC):
         with one_thread_a_call():
             self._progress = Progress(self._tell)
             grey = textured_luminance(photo, least_px=self.smallest_px)
+            clipped = clipped_mask(photo)
             levels: list[_Level] = []
+            photographed = []  # the crops with their lights
             for factor in _FACTORS:
-                crops = _textured_crops(grey, factor, self._crops)
-                level = _Level(factor, crops, self.search(crops))
+                crops, hidden = _textured_crops(grey, clipped, factor, self._crops)
+                photographed.append(crops)
+                level = self._without_lights(_Level(factor, crops, self.search(crops)), hidden)
                 if levels and level.found.confidence < max(_LOST, levels[-1].found.confidence + _CLEARLY):
                     break
                 levels.append(level)
@@ -145,9 +150,21 @@ class BlindEstimator(ABC):
                 uneven = uneven_blur_warning(best.crops, alone, best.found.kernels[best.found.best])
             estimate = _described(best, self.method, uneven)
             outgrown = _outgrown(best, self.largest_px)
-            estimate = doubted(estimate, levels[0].crops, uneven=uneven is not None, outgrown=outgrown)
+            estimate = doubted(estimate, photographed[0], uneven=uneven is not None, outgrown=outgrown)
             self._progress.finish()
             return estimate
+
+    def _without_lights(self, level: _Level, clipped: NDArray[np.bool_]) -> _Level:
+        """Search a lost blur again without the clipped lights (C, h, w) of the crops, and return what is likelier."""
+        if level.found.confidence >= _LOST or not 0 < clipped.mean() <= MOST_LIGHTS:
+            return level
+        crops = np.stack([without_lights(crop, one) for crop, one in zip(level.crops, clipped, strict=True)])
+        if np.array_equal(crops, level.crops) or not np.ptp(crops, axis=(1, 2)).all():
+            return level
+        found = self.search(crops)
+        if found.confidence <= level.found.confidence:
+            return level
+        return _Level(level.factor, crops, replace(found, details={**found.details, "lights_left_out": True}))
 
 
 @dataclass(frozen=True)
@@ -159,16 +176,23 @@ class _Level:
     found: Found
 
 
-def _textured_crops(grey: FloatArray, factor: int, count: int) -> FloatArray:
-    """Crops (C, h, w), at most ``count``, of a photo (H, W) made smaller by the factor."""
+def _textured_crops(
+    grey: FloatArray, clipped: NDArray[np.bool_], factor: int, count: int
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Crops (C, h, w), at most ``count``, of a photo (H, W) made smaller by the factor, and their clipped pixels."""
     if factor > 1:
-        smaller = cv2.resize(grey, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
-        grey = np.asarray(smaller, dtype=np.float64)
-    crops = best_crops(grey, count=count)
-    textured: FloatArray = crops[np.ptp(crops, axis=(1, 2)) > 0]  # a clipped sky has no texture and no noise
-    if not len(textured):
+        # pixels of which any part is clipped
+        grey, share = (
+            cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+            for image in (grey, clipped.astype(np.float64))
+        )
+        grey, clipped = np.asarray(grey, dtype=np.float64), np.asarray(share > 0)
+    windows = best_windows(grey, count=count)
+    crops, hidden = (np.stack([image[window] for window in windows]) for image in (grey, clipped))
+    textured = np.ptp(crops, axis=(1, 2)) > 0  # a clipped sky has no texture and no noise
+    if not textured.any():
         raise ValueError("photo: has edges of one direction at most; motion shows only where the scene has texture")
-    return textured
+    return crops[textured], hidden[textured]
 
 
 def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:
