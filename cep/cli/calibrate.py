@@ -21,6 +21,7 @@ _ESTIMATE = {
 }  # fmt: skip
 """Where in the time of the command a photo's estimate begins and ends; the preview takes most of the rest."""
 _OWN_ESTIMATE = (0.2, 0.8)
+_SEVERAL_END = 0.96
 
 _WITH_GYRO, _WITH_MOTDIFF = "With --method gyro", "With --method motdiff"
 
@@ -30,7 +31,7 @@ def calibrate(
         list[Path],
         typer.Argument(
             metavar="IMAGE...",
-            help="Blurred photo: PNG, TIFF, JPEG, WebP or RAW; or a folder of such. With --code, photos of one motion.",
+            help="Blurred photo: PNG, TIFF, JPEG, WebP or RAW; several of one motion; or a folder, each by itself.",
         ),
     ],
     output: Annotated[
@@ -115,10 +116,11 @@ def calibrate(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Estimate the motion in one blurred photo, in each photo of a folder, or from photos taken through known codes.
+    """Estimate the motion in one blurred photo, in each photo of a folder, or in several photos of one motion.
 
-    A photo with an open shutter shows the path, but neither its order nor its direction in time. Photos of the same
-    motion through known codes (one may be open; cep calibration-set designs them) show these too.
+    A photo with an open shutter shows the path, but neither its order nor its direction in time. Several, of any
+    scenes, show it more surely: motdiff and pmp search them together, and say how repeatable the motion is.
+    Photos of the same motion through known codes (one may be open; cep calibration-set designs them) show its order.
 
     Writes trajectory.json, psf.npy, psf.mat, psf.png, map.png, preview.png and sharpened.png, the photo restored; of a
     folder, into a folder for each photo, named like it, and motions.csv. Finished photos are kept: stopped by Ctrl-C,
@@ -127,6 +129,8 @@ def calibrate(
     Example: cep calibrate blurred.jpg -o motion
 
     Example: cep calibrate shots -o shots_motion --workers 4
+
+    Example: cep calibrate run1.png run2.png run3.png -o motion
 
     Example: cep calibrate open.png coded.png --code open --code code.json -o motion
 
@@ -138,10 +142,8 @@ def calibrate(
         "start_s": start, "exposure_s": exposure, "rate_unit": gyro_unit, "codes": code,
     }  # fmt: skip
     image = images[0]
-    if len(images) > 1 and not code:
-        raise ValueError(
-            f"IMAGE: several photos need --code, one for each, got {len(images)} photos; or give their folder"
-        )
+    if len(images) > 1 and not code and any(one.is_dir() for one in images):
+        raise ValueError("IMAGE: several are photos of one motion; give the photos, or one folder alone")
     if code and any(one.is_dir() for one in images):
         raise ValueError("--code: is for photos of one motion; give the photos, not a folder")
     if image.is_dir():
@@ -159,6 +161,7 @@ def calibrate(
         from cep.workflows.calibrate import (
             CALIBRATION_FILES,
             check_options,
+            check_several,
             check_times,
             estimate_motion,
         )
@@ -167,6 +170,8 @@ def calibrate(
         from motdiff.io.gyro_tables import read_gyro
 
         check_options(method, options)
+        if len(images) > 1 and not code:
+            check_several(method)
         codes = load_codes(code) if code else None
         if codes is not None:
             check_codes([one.bits for one in codes], photos=len(images))
@@ -181,10 +186,12 @@ def calibrate(
         recording = None if gyro is None else read_gyro(gyro, rate_unit=cast(Any, gyro_unit))
         started = time.perf_counter()
         begins, ends = _OWN_ESTIMATE if codes is not None else _ESTIMATE.get(method, _OWN_ESTIMATE)
+        if len(images) > 1 and codes is None:
+            ends = _SEVERAL_END
         tick(begins, "estimating")
         try:
             found = estimate_motion(
-                [one.pixels for one in photos] if codes else photos[0].pixels,
+                [one.pixels for one in photos] if codes or len(photos) > 1 else photos[0].pixels,
                 method=method,
                 samples=samples,
                 seed=seed,
@@ -205,8 +212,10 @@ def calibrate(
         seconds = time.perf_counter() - started
         tick(ends, "writing")
         source = {"image": str(image), "seed": seed}
+        if codes is not None or len(images) > 1:
+            source |= {"images": [str(one) for one in images]}
         if codes is not None:
-            source |= {"images": [str(one) for one in images], "codes": [one.bits for one in codes]}
+            source |= {"codes": [one.bits for one in codes]}
         files = found.save(folder, source=source, force=force, bits=min(photos[0].bits, 16), gamma=gamma)
         tick(1.0)
     motion = found.best
@@ -219,11 +228,28 @@ def calibrate(
             f"in this order in time with probability {found.confidence:.2f}, and then exact to "
             f"{result['path_uncertainty_px']:.2g} px"
         )
-    still = "" if found.details.get("motion_blur", True) else f"{found.warnings[0]}.\n"
+    still = found.details.get("motion_blur", True) is False
+    first = f"{found.warnings[0]}.\n" if still else _repeatability(motion.extent_px, found.details)
     finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{still}{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, {sure}; "
+        f"{first}{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, {sure}; "
         f"{found.method}, {seconds:.1f} s"
     ))  # fmt: skip
+
+
+def _repeatability(extent_px: float, details: Mapping[str, Any]) -> str:
+    """Say how alike several photos of one motion show it; nothing of one photo."""
+    if "seen_in" not in details:
+        return ""
+    seen, photos = details["seen_in"], details["photos"]
+    if seen < 2:
+        alone = f"no two of {photos} photos alone show it alike"
+        return f"One motion of {extent_px:.0f} px; {alone}: whether it repeats is not known.\n"
+    squares = sum(distance**2 for distance in details["repeatability_px"] if distance is not None)
+    apart_px = (squares / (seen - 1)) ** 0.5  # one of the paths may be the one that they are compared with
+    return (
+        f"One motion of {extent_px:.0f} px, seen alike in {seen} of {photos} photos: their paths differ by "
+        f"{apart_px:.2g} px.\n"
+    )
 
 
 _COLUMNS = {

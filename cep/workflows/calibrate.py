@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from importlib import import_module
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ __all__ = [
     "Calibration",
     "check_options",
     "check_photo",
+    "check_several",
     "check_texture",
     "check_times",
     "estimate_motion",
@@ -47,6 +49,8 @@ from photos taken through known codes."""
 CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png", "sharpened.png")
 """What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field,
 ``sharpened.png`` only of a photo with an open shutter, where a restoration is better than the photo."""
+
+_TOGETHER = ("motdiff", "pmp")  # search photos of one motion together
 
 _LEAST_PX = {
     "motdiff": PSF_PX,
@@ -190,7 +194,7 @@ class Calibration(MotionEstimate):
     Attributes
     ----------
     photo : (H, W) or (H, W, 3) float, linear light 0..1
-        The first one where there are several. The other attributes are those of
+        The first one where there are several, of those not left out. The other attributes are those of
         :class:`motdiff.estimators.base.MotionEstimate`.
     """
 
@@ -220,7 +224,7 @@ class Calibration(MotionEstimate):
 
 
 def estimate_motion(
-    photo: ArrayLike,
+    photo: ArrayLike | Sequence[ArrayLike],
     *,
     method: str | Estimator | None = None,
     samples: int | None = None,
@@ -233,11 +237,13 @@ def estimate_motion(
     codes: Sequence[ShutterCode] | None = None,
     progress: Callable[[float, str], None] = lambda _share, _what: None,
 ) -> Calibration:
-    """Estimate the camera's motion from a blurred photo, or from photos of one motion taken through known codes.
+    """Estimate the camera's motion from a blurred photo, or from several photos of one motion.
 
     Parameters
     ----------
-    photo : (H, W) or (H, W, 3) array_like, linear light 0..1; with ``codes`` a list or tuple of such
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1; or a list or tuple of arrays
+        Several show one motion, of one scene or of different ones: with an open shutter they are searched together, for
+        "motdiff", "pmp" and estimators with a method ``estimate_from(photos)``.
     method : str or Estimator, optional
         One of :data:`METHODS`; an estimator of your own, or its ``module:name``. "motdiff" when omitted, "coded" with
         ``codes``.
@@ -271,18 +277,62 @@ def estimate_motion(
         method = "motdiff" if codes is None else "coded"
     if codes is not None:
         return _from_codes(photo, options, method=method, codes=codes, seed=seed, progress=progress)
+    photos = _photos(photo)
     if isinstance(method, str):
         check_options(method, options)
-        check_photo(photo, method)  # before anything slow is loaded
+        if len(photos) > 1:  # before anything slow is loaded
+            check_several(method)
+            check_photos(photos, method)
+            _check_apart(photos)
+        else:
+            check_photo(photos[0], method)
         estimator = make_estimator(method, seed=seed, progress=progress, **options)
     elif given := [name for name, value in options.items() if value is not None]:
         raise ValueError(f"{given[0]}: not valid with an estimator of your own")
     else:
-        check_texture(photo)
+        for one in photos:
+            check_texture(one)
+        _check_apart(photos)
         estimator = method
-    pixels = _as_light(photo)
-    found = estimator.estimate(pixels)
-    return Calibration(**{one.name: getattr(found, one.name) for one in fields(MotionEstimate)}, photo=pixels)
+    pixels = [_as_light(one) for one in photos]
+    if len(pixels) == 1:
+        return _calibration(estimator.estimate(pixels[0]), pixels[0])
+    if not hasattr(estimator, "estimate_from"):
+        raise ValueError(f"method: {method} takes one photo, for it has no method estimate_from(photos)")
+    found: MotionEstimate = estimator.estimate_from(pixels)
+    left_out = found.details.get("left_out", [])
+    assert isinstance(left_out, list)
+    return _calibration(found, next(one for i, one in enumerate(pixels, 1) if i not in left_out))
+
+
+def check_several(method: str) -> None:
+    """Refuse a method that takes one photo with an open shutter, before anything is loaded.
+
+    Raises
+    ------
+    ValueError
+        If the method is one of :data:`METHODS` and not among those that search photos together.
+    """
+    if method in METHODS and method not in _TOGETHER:
+        raise ValueError(f"method: {method} takes one photo; several of one motion go with {' or '.join(_TOGETHER)}")
+
+
+def _photos(given: ArrayLike | Sequence[ArrayLike]) -> list[ArrayLike]:
+    """List the photos of a list or tuple of arrays; anything else, as an image of nested numbers, is one."""
+    if isinstance(given, list | tuple) and given and all(isinstance(one, np.ndarray) and one.ndim > 1 for one in given):
+        return [*given]
+    return [np.asarray(given)]
+
+
+def _check_apart(photos: Sequence[ArrayLike]) -> None:
+    """Refuse a photo given twice: its noise would count as agreement."""
+    for (i, one), (j, other) in combinations(enumerate(photos, 1), 2):
+        if np.array_equal(one, other):
+            raise ValueError(f"photo {j}: is the same as photo {i}; give each photo once")
+
+
+def _calibration(found: MotionEstimate, photo: FloatArray) -> Calibration:
+    return Calibration(**{one.name: getattr(found, one.name) for one in fields(MotionEstimate)}, photo=photo)
 
 
 def _from_codes(
@@ -301,8 +351,7 @@ def _from_codes(
     estimator = make_estimator(method, seed=seed, progress=progress, **options)
     assert hasattr(estimator, "estimate_from")
     found: MotionEstimate = estimator.estimate_from([_as_light(one) for one in given])
-    fitted = {one.name: getattr(found, one.name) for one in fields(MotionEstimate)}
-    return Calibration(**fitted, photo=_as_light(given[0]))
+    return _calibration(found, _as_light(given[0]))
 
 
 def check_times(codes: Sequence[ShutterCode]) -> None:

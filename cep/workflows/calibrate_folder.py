@@ -19,7 +19,9 @@ __all__ = ["calibrate_folder", "describe_motion", "photos_in", "sharp_of", "unre
 
 
 _SUMMARY = "motions.csv"
-_OF_THE_ESTIMATE = ("psf_confidence", "path_confidence", "order_confidence", "path_uncertainty_px")
+_OF_THE_ESTIMATE = (
+    "psf_confidence", "path_confidence", "order_confidence", "path_uncertainty_px", "repeatability", "left_out",
+)  # fmt: skip
 """Figures of some estimators alone."""
 _COLUMNS = (
     "photo", "length_px", "extent_px", "direction", "confidence", "seconds", "method", "warnings", "failure",

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -14,9 +16,10 @@ from scipy import ndimage
 from motdiff.crops import CROP_PX, best_windows, clipped_mask, textured_luminance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.doubts import doubted
+from motdiff.estimators.fusion import GOOD_MNC, Fusion, cut_alike, fuse
 from motdiff.estimators.kernel_score import uneven_blur_warning
 from motdiff.estimators.lights import MOST_LIGHTS, without_lights
-from motdiff.metrics import mnc_subpixel
+from motdiff.metrics import mnc_subpixel, path_distance_px
 from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.threads import one_thread_a_call
@@ -26,6 +29,8 @@ from motdiff.trajectory import Trajectory
 __all__ = ["BlindEstimator", "Found", "without_faint_parts"]
 
 FloatArray = NDArray[np.float64]
+_Photo = TypeVar("_Photo")
+_Made = TypeVar("_Made")
 
 _LEAST_HALVED_PX = 192
 _LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halved and tried again
@@ -35,6 +40,7 @@ _SPECK_SHARE = 0.1
 _SAME_MOTION_MNC = 0.8  # less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
 _MOST_MOTIONS = 3
 _LOST = 0.5
+_MOST_CROPS = 12  # of several photos together
 # kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px, six
 _WEB_PX, _WEB_TURNS, _WEB_CONFIDENCE = 200.0, 4.0, 0.2
 _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
@@ -112,74 +118,146 @@ class BlindEstimator(ABC):
     def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:
         """Search each crop alone, in the cheapest way, to test whether the blur is uniform."""
 
+    def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:  # noqa: ARG002
+        """Fit a kernel (k, k), found in one photo, to the crops (C, H, W) of several; unchanged by default."""
+        return kernel
+
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Estimate the motion from a blurred ``photo``.
+        """Estimate the motion from a blurred ``photo``: :meth:`estimate_from` with one.
 
         Parameters
         ----------
         photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+        """
+        return self.estimate_from([photo])
+
+    def estimate_from(self, photos: Sequence[ArrayLike]) -> MotionEstimate:
+        """Estimate the one motion in photos taken of it, of the same scene or of different ones.
+
+        The motion is searched in each photo alone and in all together: :func:`motdiff.estimators.fusion.fuse`.
+
+        Parameters
+        ----------
+        photos : sequence of N (H, W) or (H, W, 3) array_like, linear light 0..1
+            Their sizes may differ; where one is small, only the middles of the others are searched.
 
         Returns
         -------
-        MotionEstimate with ``direction`` unknown; distinct kernels follow as alternatives.
+        MotionEstimate with ``direction`` unknown; distinct kernels follow as alternatives. Of several photos
+        ``details`` hold ``photos``, their number; for each ``repeatability``, the MNC of its own kernel with the shared
+        one, and ``repeatability_px``, the distance of its own path, None where its kernel is another; ``seen_in``, how
+        many kernels agree; and ``left_out``, the numbers, from 1, of photos that show another motion.
 
         Raises
         ------
         ValueError
-            If the photo is smaller than ``smallest_px``, not finite, or without texture.
+            If a photo is smaller than ``smallest_px``, not finite, or without texture, or much smaller than another.
         """
         with one_thread_a_call():
-            self._progress = Progress(self._tell)
-            grey = textured_luminance(photo, least_px=self.smallest_px)
-            clipped = clipped_mask(photo)
+            whole = self._progress = Progress(self._tell)
+            greys = _each(photos, lambda photo: textured_luminance(photo, least_px=self.smallest_px))
+            count = min(self._crops, max(1, _MOST_CROPS // len(photos)))
+            clipped = [clipped_mask(photo) for photo in photos]
             levels: list[_Level] = []
-            photographed = []  # the crops with their lights
             for factor in _FACTORS:
-                crops, hidden = _textured_crops(grey, clipped, factor, self._crops)
-                photographed.append(crops)
-                level = self._without_lights(_Level(factor, crops, self.search(crops)), hidden)
+                both = list(zip(greys, clipped, strict=True))
+                cut = _each(both, partial(_textured_crops, factor=factor, count=count))
+                level = self._alone(factor, cut[0]) if len(cut) == 1 else self._fused(factor, cut, whole)
                 if levels and level.found.confidence < max(_LOST, levels[-1].found.confidence + _CLEARLY):
                     break
                 levels.append(level)
-                if not _wants_halving(level, self.largest_px, min(grey.shape)):
+                if not _wants_halving(level, self.largest_px, min(min(grey.shape) for grey in greys)):
                     break
             best = levels[-1]
             uneven = None
-            if len(best.crops) > 1:
+            if len(best.crops) > (1 if best.fusion is None else len(best.fusion.kept)):
                 alone = self.single(best.crops, best.found)
                 uneven = uneven_blur_warning(best.crops, alone, best.found.kernels[best.found.best])
             estimate = _described(best, self.method, uneven)
             outgrown = _outgrown(best, self.largest_px)
-            estimate = doubted(estimate, photographed[0], uneven=uneven is not None, outgrown=outgrown)
-            self._progress.finish()
+            estimate = doubted(estimate, levels[0].photographed, uneven=uneven is not None, outgrown=outgrown)
+            whole.finish()
             return estimate
 
-    def _without_lights(self, level: _Level, clipped: NDArray[np.bool_]) -> _Level:
-        """Search a lost blur again without the clipped lights (C, h, w) of the crops, and return what is likelier."""
-        if level.found.confidence >= _LOST or not 0 < clipped.mean() <= MOST_LIGHTS:
-            return level
-        crops = np.stack([without_lights(crop, one) for crop, one in zip(level.crops, clipped, strict=True)])
-        if np.array_equal(crops, level.crops) or not np.ptp(crops, axis=(1, 2)).all():
-            return level
-        found = self.search(crops)
-        if found.confidence <= level.found.confidence:
-            return level
-        return _Level(level.factor, crops, replace(found, details={**found.details, "lights_left_out": True}))
+    def _alone(self, factor: int, cut: _Cut) -> _Level:
+        crops, found = self._searched(cut)
+        return _Level(factor, crops, found, cut.crops)
+
+    def _fused(self, factor: int, cuts: Sequence[_Cut], whole: Progress) -> _Level:
+        """Search the crops of each of several photos, and those of all together."""
+        photographed = cut_alike([cut.crops for cut in cuts])
+        sizes = [crop.size for crop in (*(cut.crops for cut in cuts), *photographed)]
+        whole.expect(1.0)
+
+        def piece(part: FloatArray) -> None:
+            self._progress = Progress(whole.piece(part.size / sum(sizes)))
+
+        def together(part: FloatArray) -> Found:
+            piece(part)
+            found = self.search(part)
+            self._progress.finish()
+            return found
+
+        alone = []
+        for cut in cuts:
+            piece(cut.crops)
+            alone.append(self._searched(cut))
+            self._progress.finish()
+        own = [found for _, found in alone]
+        fusion = fuse(cut_alike([crops for crops, _ in alone]), own, search=together, refine=self.refine)
+        kept = np.concatenate([photographed[i] for i in fusion.kept])
+        return _Level(factor, fusion.crops, fusion.found, kept, fusion, tuple(own))
+
+    def _searched(self, cut: _Cut) -> tuple[FloatArray, Found]:
+        """Search crops, a lost blur once more without their clipped lights; the likelier one, after its crops."""
+        found = self.search(cut.crops)
+        if found.confidence >= _LOST or not 0 < cut.clipped.mean() <= MOST_LIGHTS:
+            return cut.crops, found
+        crops = np.stack([without_lights(crop, one) for crop, one in zip(cut.crops, cut.clipped, strict=True)])
+        if np.array_equal(crops, cut.crops) or not np.ptp(crops, axis=(1, 2)).all():
+            return cut.crops, found
+        again = self.search(crops)
+        if again.confidence <= found.confidence:
+            return cut.crops, found
+        return crops, replace(again, details={**again.details, "lights_left_out": True})
+
+
+def _each(photos: Sequence[_Photo], make: Callable[[_Photo], _Made]) -> list[_Made]:
+    """Make something of each photo; of several, an error begins with the photo's number."""
+    made = []
+    for number, photo in enumerate(photos, 1):
+        try:
+            made.append(make(photo))
+        except ValueError as error:
+            if len(photos) == 1:
+                raise
+            raise ValueError(f"photo {number}: {str(error).removeprefix('photo: ')}") from None
+    return made
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """Crops (C, h, w) of a photo at one scale, and their clipped pixels."""
+
+    crops: FloatArray
+    clipped: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class _Level:
-    """Result at one scale of the photo."""
+    """Result at one scale of the photo: the crops as searched, and as photographed, with their lights."""
 
     factor: int
     crops: FloatArray
     found: Found
+    photographed: FloatArray
+    fusion: Fusion | None = None
+    own: tuple[Found, ...] = ()
 
 
-def _textured_crops(
-    grey: FloatArray, clipped: NDArray[np.bool_], factor: int, count: int
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Crops (C, h, w), at most ``count``, of a photo (H, W) made smaller by the factor, and their clipped pixels."""
+def _textured_crops(photo: tuple[FloatArray, NDArray[np.bool_]], *, factor: int, count: int) -> _Cut:
+    """Crops, at most ``count``, of a photo (H, W) and its clipped pixels, made smaller by the factor."""
+    grey, clipped = photo
     if factor > 1:
         # pixels of which any part is clipped
         grey, share = (
@@ -192,7 +270,7 @@ def _textured_crops(
     textured = np.ptp(crops, axis=(1, 2)) > 0  # a clipped sky has no texture and no noise
     if not textured.any():
         raise ValueError("photo: has edges of one direction at most; motion shows only where the scene has texture")
-    return crops[textured], hidden[textured]
+    return _Cut(crops[textured], hidden[textured])
 
 
 def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:
@@ -261,9 +339,29 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
             "trajectory_psf_mnc": mnc_subpixel(psf, drawn),
             "psf_confidence": found.confidence,
             "path_confidence": confidence * _path_share(trajectories[0], tangled=tangled),
+            **_repeatability(level, trajectories[0]),
         },
         psf_warnings=tuple(of_the_psf),
     )
+
+
+def _repeatability(level: _Level, path: Trajectory) -> dict[str, object]:
+    """Figures of how far each of several photos shows the motion that they share."""
+    fusion = level.fusion
+    if fusion is None:
+        return {}
+    apart: list[float | None] = []
+    for i, (found, alike) in enumerate(zip(level.own, fusion.repeatability, strict=True)):
+        agrees = alike >= GOOD_MNC and i in fusion.kept
+        own = simplest_trajectory(without_faint_parts(found.kernels[found.best])) if agrees else None
+        apart.append(None if own is None else path_distance_px(own.scaled(level.factor), path))
+    return {
+        "photos": len(level.own),
+        "seen_in": sum(distance is not None for distance in apart),
+        "repeatability": list(fusion.repeatability),
+        "repeatability_px": apart,
+        "left_out": [i + 1 for i in fusion.left_out],
+    }
 
 
 def _path_share(path: Trajectory, *, tangled: bool) -> float:

@@ -136,6 +136,10 @@ class MotDiffEstimator(BlindEstimator):
             [partial(_searched_alone, crop) for crop in crops], tell=lambda _finished: self._progress.spend(cost)
         )
 
+    def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
+        """Fit a kernel (k, k) to the crops (C, H, W) once more."""
+        return refined(crops, kernel, float(np.median([noise_sigma(crop) for crop in crops])))
+
     def _classical(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Search classical kernels (Q, 64, 64), and select those that condition the network (3, 64, 64)."""
         found = PmpEstimator().kernels(crops, progress=self._progress)

@@ -135,6 +135,10 @@ class PmpEstimator(BlindEstimator):
             ]
         )
 
+    def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
+        """Fit a kernel (k, k) to the crops (C, H, W) once more."""
+        return refined(crops, kernel, _sigma(crops), device=self._device)
+
     def _run(self, crops: FloatArray, start: Start, *, tell: Callable[[float], None]) -> FloatArray:
         turned = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
         batch = torch.from_numpy(np.ascontiguousarray(turned))[None].to(self._device)

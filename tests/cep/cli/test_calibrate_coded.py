@@ -62,7 +62,6 @@ def test_a_small_light_s_trail_has_its_order_in_time(cep, tmp_path, monkeypatch)
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["open.png", "coded.png"], ["--code", "2 photos"]),
         (["open.png", "coded.png", "--code", "open"], ["--code", "1 for 2 photos"]),
         (["open.png", "coded.png", "--code", "open", "--code", "open"], ["order cannot be known"]),
         (["open.png", "coded.png", "--code", "1101", "--code", CODES[1]], ["--code 2", "16 chips", "4"]),

@@ -117,6 +117,62 @@ def test_each_photo_is_told_of_from_the_start_to_the_end():
     assert shares == [0.5, 1.0]
 
 
+def test_several_photos_are_told_of_as_one_work():
+    class Telling(FakeSearch):
+        def search(self, crops):
+            self._progress.expect(2.0)
+            self._progress.spend(1.0)
+            return super().search(crops)
+
+    shares = []
+    Telling(progress=shares.append).estimate_from([noise(100, 100), noise(100, 100, seed=1)])
+    # a quarter each of the work, and half of it together
+    np.testing.assert_allclose(shares, [0.125, 0.25, 0.375, 0.5, 0.75, 0.999, 1.0])
+
+
+# ---- several photos
+
+
+def test_several_photos_are_searched_alone_and_together():
+    photos = [noise(100, 90), noise(100, 90, seed=1), noise(80, 100, seed=2)]
+    search = FakeSearch()
+    estimate = search.estimate_from(photos)
+    assert [crops.shape for crops in search.seen] == [(1, 100, 90), (1, 100, 90), (1, 80, 100), (3, 80, 90)]
+    assert search.alone == []  # a crop of each photo has been searched alone
+    figures = estimate.details
+    assert (figures["photos"], figures["seen_in"], figures["left_out"]) == (3, 3, [])
+    assert figures["repeatability"] == pytest.approx([1, 1, 1])
+    assert figures["repeatability_px"] == pytest.approx([0, 0, 0], abs=1e-6)
+
+
+def test_many_large_photos_have_fewer_crops_each():
+    search = FakeSearch()
+    search.estimate_from([noise(330, 600, seed=i) for i in range(6)])
+    assert [len(crops) for crops in search.seen] == [2] * 6 + [12]
+
+
+def test_a_motion_that_outgrows_the_search_is_tried_at_half_size_in_all_photos():
+    half = line(18)
+    search = FakeSearch(*[(LONG, UNSURE)] * 3, (half, SURE))
+    estimate = search.estimate_from([noise(300, 300), noise(300, 300, seed=1)])
+    assert [crops.shape[1] for crops in search.seen] == [300] * 3 + [150] * 3
+    assert estimate.best.length_px == pytest.approx(36, rel=0.06)
+    assert estimate.details["repeatability_px"] == pytest.approx([0, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("second", "said"),
+    [
+        (noise(40, 90), r"^photo 2: needs at least 48 x 48 px"),
+        (np.full((100, 90), 0.3), "^photo 2: is constant"),
+        (noise(49, 49), "^photo 2: is too small to be searched with the others"),
+    ],
+)
+def test_a_photo_that_cannot_be_searched_is_named_by_its_number(second, said):
+    with pytest.raises(ValueError, match=said):
+        FakeSearch().estimate_from([noise(100, 110), second])
+
+
 # ---- crops
 
 

@@ -1,0 +1,164 @@
+"""Fusion of several photos of one motion: their joint kernel, and how far each photo agrees with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motdiff.estimators.kernel_score import Judge, kernel_score
+from motdiff.metrics import mnc_matrix, mnc_subpixel
+
+if TYPE_CHECKING:
+    from motdiff.estimators.multiscale import Found
+
+__all__ = ["GOOD_MNC", "Fusion", "cut_alike", "fuse"]
+
+FloatArray = NDArray[np.float64]
+
+GOOD_MNC = 0.7
+"""From this MNC on, the kernel of a single photo counts as that of the motion they share."""
+_OTHER_MOTION = 0.3  # by which a photo's own kernel explains it better than another motion's does
+_LEAST_SHARE = 0.5  # of the largest side, that a photo must have to be searched with the others
+_DOUBTED = 0.5  # most confidence where photos contradict each other and no majority decides
+
+
+@dataclass(frozen=True)
+class Fusion:
+    """The kernel that several photos share.
+
+    Attributes
+    ----------
+    found : Found
+        The joint search, its best kernel chosen among that of the search and those of the photos; with warnings
+        about photos that contradict it.
+    crops : (C, H, W) float
+        Those of the photos that were kept.
+    kept, left_out : tuple of int
+        Indices of photos.
+    repeatability : tuple of float
+        MNC of each photo's own kernel with the shared one, of those left out as well.
+    """
+
+    found: Found
+    crops: FloatArray
+    kept: tuple[int, ...]
+    left_out: tuple[int, ...]
+    repeatability: tuple[float, ...]
+
+
+def cut_alike(crops: Sequence[FloatArray]) -> list[FloatArray]:
+    """Cut the crops (C, h, w) of several photos to one size, about their middles.
+
+    Raises
+    ------
+    ValueError
+        Beginning with ``photo 2:``, if a side of it is shorter than half of another photo's.
+    """
+    shape = tuple(min(sides) for sides in zip(*(crop.shape[1:] for crop in crops), strict=True))
+    largest = max(min(crop.shape[1:]) for crop in crops)
+    for i, crop in enumerate(crops, 1):
+        if min(crop.shape[1:]) < _LEAST_SHARE * largest:
+            raise ValueError(
+                f"photo {i}: is too small to be searched with the others: needs "
+                f"{int(np.ceil(_LEAST_SHARE * largest))} px on a side, got {min(crop.shape[1:])}"
+            )
+    cut = []
+    for crop in crops:
+        top, left = ((n - m) // 2 for n, m in zip(crop.shape[1:], shape, strict=True))
+        cut.append(crop[:, top : top + shape[0], left : left + shape[1]])
+    return cut
+
+
+def fuse(
+    crops: Sequence[FloatArray],
+    own: Sequence[Found],
+    *,
+    search: Callable[[FloatArray], Found],
+    refine: Callable[[FloatArray, FloatArray], FloatArray],
+) -> Fusion:
+    """Find the kernel that explains several photos, each with a latent image of its own.
+
+    Every crop has its own latent image, so that neither the scene nor a shift of the kernel needs to be common. The
+    candidates are the kernel of the joint search, that of each photo alone, and this one refined on all photos. The
+    score of :func:`motdiff.estimators.kernel_score.kernel_score`, its mean over the photos, chooses; agreement is the
+    mean MNC with the photos' own kernels.
+
+    A photo whose own kernel is unlike the shared one, and explains it clearly better, shows another motion. The
+    clearest one is left out and the search repeated, as long as more than half of the photos are left.
+
+    Parameters
+    ----------
+    crops : sequence of N (C, H, W) float
+        Of each photo, of one size.
+    own : sequence of N Found
+        What a search found in each photo alone.
+    search : callable
+        From crops (C, H, W) to what is found in them together.
+    refine : callable
+        From crops (C, H, W) and a kernel to the kernel fitted to them once more.
+    """
+    kernels = [found.kernels[found.best] for found in own]
+    judges = [Judge(one) for one in crops]
+
+    def fused(kept: Sequence[int]) -> tuple[Fusion, dict[int, float]]:
+        """Fuse some of the photos; with how much better those of another motion are explained by their own kernel."""
+        together = np.concatenate([crops[i] for i in kept])
+        found = _chosen(
+            search(together), [own[i] for i in kept], [judges[i] for i in kept], refine=partial(refine, together)
+        )
+        shared = found.kernels[found.best]
+        alike = tuple(mnc_subpixel(kernel, shared) for kernel in kernels)
+        left_out = tuple(i for i in range(len(crops)) if i not in kept)
+        gains = {i: _gain(judges[i], kernels[i], shared) for i in kept if alike[i] < GOOD_MNC}
+        others = {i: gain for i, gain in gains.items() if gain > _OTHER_MOTION}
+        return Fusion(found, together, tuple(kept), left_out, alike), others
+
+    everything, suspects = fused(range(len(crops)))
+    result, others = everything, suspects
+    while others and 2 * (len(result.kept) - 1) > len(crops):
+        clearest = max(others, key=others.__getitem__)
+        result, others = fused([i for i in result.kept if i != clearest])
+    if others:  # no majority agrees
+        listed = " and ".join(f"{i + 1} (MNC {everything.repeatability[i]:.2f})" for i in suspects)
+        warning = f"photo{'s' * (len(suspects) > 1)} {listed} may show another motion, but no majority agrees: kept"
+        doubted = np.minimum(everything.found.probabilities, _DOUBTED)
+        return _warned(replace(everything, found=replace(everything.found, probabilities=doubted)), [warning])
+    return _warned(result, [
+        f"photo {i + 1} shows another motion (MNC {result.repeatability[i]:.2f} with the others): left out"
+        for i in result.left_out
+    ])  # fmt: skip
+
+
+def _warned(fusion: Fusion, warnings: Sequence[str]) -> Fusion:
+    return replace(fusion, found=replace(fusion.found, warnings=(*fusion.found.warnings, *warnings)))
+
+
+def _chosen(
+    joint: Found, own: Sequence[Found], judges: Sequence[Judge], *, refine: Callable[[FloatArray], FloatArray]
+) -> Found:
+    """Put the kernel of a photo, or its refinement, in place of the joint search's best where its score is higher."""
+    singles = [found.kernels[found.best] for found in own]
+    candidates = [joint.kernels[joint.best], *singles, *(refine(kernel) for kernel in singles)]
+    evidence = np.mean([judge.evidence(candidates) for judge in judges], axis=0)
+    agreement = mnc_matrix(candidates)[:, 1 : 1 + len(own)].mean(axis=1)
+    best = int(np.argmax(kernel_score(evidence, agreement)))
+    if best == 0:
+        return replace(joint, details={**joint.details, "fused_by": "joint search"})
+    kernels, probabilities = list(joint.kernels), joint.probabilities.copy()
+    kernels[joint.best] = candidates[best]
+    probabilities[joint.best] = max(joint.confidence, own[(best - 1) % len(own)].confidence)
+    chosen = "kernel of one photo" + (", refined on all" if best > len(own) else "")
+    return replace(
+        joint, kernels=tuple(kernels), probabilities=probabilities, details={**joint.details, "fused_by": chosen}
+    )
+
+
+def _gain(judge: Judge, own: FloatArray, shared: FloatArray) -> float:
+    """How much better a photo's own kernel explains it than the shared one."""
+    mine, common = kernel_score(judge.evidence([own, shared]))
+    return float(mine - common)
