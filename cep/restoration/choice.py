@@ -24,12 +24,15 @@ from motdiff.crops import clipped_mask, luminance, pick_crops
 from motdiff.estimators.kernel_score import noise_sigma
 from motdiff.threads import side_by_side
 
-__all__ = ["LARGE_PX", "PsfChoice", "choose_psf", "is_possible_light", "restore_chosen"]
+__all__ = ["FEW_CLIPPED", "LARGE_PX", "PsfChoice", "choose_psf", "is_possible_light", "restore_chosen"]
 
 FloatArray = NDArray[np.float64]
 
 LARGE_PX = 4_000_000
 """Photos of more pixels are restored by the Wiener filter: TV would take a minute."""
+
+FEW_CLIPPED = 1e-3
+"""Share of clipped pixels up to which they are specks of noise or glints, no lights."""
 
 _CROP_PX = 384
 _LEAST_SIGMA = 1e-3
@@ -144,7 +147,7 @@ def is_possible_light(restored: ArrayLike, photo: ArrayLike, psf: ArrayLike) -> 
         What it was restored with.
     """
     clipped = clipped_mask(photo)
-    most = _MOST_IMPOSSIBLE_BESIDE_LIGHTS if clipped.any() else _MOST_IMPOSSIBLE
+    most = _MOST_IMPOSSIBLE if clipped.mean() <= FEW_CLIPPED else _MOST_IMPOSSIBLE_BESIDE_LIGHTS
     return _impossible(lights_cut(restored, clipped, psf)) <= most * float(np.std(luminance(photo)))
 
 

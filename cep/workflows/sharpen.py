@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cep.restoration.choice import choose_psf, is_possible_light, restore_chosen
+from cep.restoration.choice import FEW_CLIPPED, choose_psf, is_possible_light, restore_chosen
 from cep.restoration.methods import misfit
 from cep.restoration.spectral import trimmed_psf
 from motdiff.crops import clipped_mask
@@ -23,7 +23,6 @@ FloatArray = NDArray[np.float64]
 _LEAST_CONFIDENCE = 0.3
 _PRIOR_DB = {"psf": 0.6, "trajectory": 0.0}
 """Mean advantage of the PSF found over that of the path traced through it: docs/decisions/restoration.md."""
-_CLIPPED_SHARE = 1e-3
 _SEARCH_SHARE = 0.75  # of the time
 
 
@@ -139,7 +138,7 @@ def sharpen(
         notes.append(
             "the photo is large: it was restored by the Wiener filter, which is fast; --method tv takes longer"
         )
-    if clipped > _CLIPPED_SHARE:
+    if clipped > FEW_CLIPPED:
         notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: their light was inferred from the other pixels")
     reach = trimmed_psf(psf).shape[0] // 2
     found = "the blur kernel found in it" if choice.name == "psf" else "the path found in it"
