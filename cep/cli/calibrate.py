@@ -229,25 +229,25 @@ def calibrate(
             f"{result['path_uncertainty_px']:.2g} px"
         )
     still = found.details.get("motion_blur", True) is False
-    first = f"{found.warnings[0]}.\n" if still else _repeatability(motion.extent_px, found.details)
+    first = f"{found.warnings[0]}.\n" if still else _repeatability(motion.length_px, found.details)
     finish(result, as_json=as_json, show=lambda console: console.print(
         f"{first}{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, {sure}; "
         f"{found.method}, {seconds:.1f} s"
     ))  # fmt: skip
 
 
-def _repeatability(extent_px: float, details: Mapping[str, Any]) -> str:
+def _repeatability(length_px: float, details: Mapping[str, Any]) -> str:
     """Say how alike several photos of one motion show it; nothing of one photo."""
     if "seen_in" not in details:
         return ""
     seen, photos = details["seen_in"], details["photos"]
     if seen < 2:
         alone = f"no two of {photos} photos alone show it alike"
-        return f"One motion of {extent_px:.0f} px; {alone}: whether it repeats is not known.\n"
+        return f"One motion of {length_px:.0f} px; {alone}: whether it repeats is not known.\n"
     squares = sum(distance**2 for distance in details["repeatability_px"] if distance is not None)
     apart_px = (squares / (seen - 1)) ** 0.5  # one of the paths may be the one that they are compared with
     return (
-        f"One motion of {extent_px:.0f} px, seen alike in {seen} of {photos} photos: their paths differ by "
+        f"One motion of {length_px:.0f} px, seen alike in {seen} of {photos} photos: their paths differ by "
         f"{apart_px:.2g} px.\n"
     )
 

@@ -59,14 +59,14 @@ def test_several_photos_give_one_calibration_and_its_repeatability(cep, shots, s
 @pytest.mark.parametrize(
     ("figures", "said"),
     [
-        ({}, "One motion of 11 px, seen alike in 3 of 3 photos: their paths differ by 0.24 px."),
+        ({}, "One motion of 18 px, seen alike in 3 of 3 photos: their paths differ by 0.24 px."),
         (
             {"seen_in": 2, "repeatability_px": [0.0, 0.3, None], "left_out": [3]},
-            "One motion of 11 px, seen alike in 2 of 3 photos: their paths differ by 0.3 px.",
+            "One motion of 18 px, seen alike in 2 of 3 photos: their paths differ by 0.3 px.",
         ),
         (
             {"seen_in": 1, "repeatability_px": [0.0, None, None]},
-            "One motion of 11 px; no two of 3 photos alone show it alike: whether it repeats is not known.",
+            "One motion of 18 px; no two of 3 photos alone show it alike: whether it repeats is not known.",
         ),
     ],
 )
