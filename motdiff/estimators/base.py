@@ -1,4 +1,4 @@
-"""Result and protocol of all estimators."""
+"""Results of the estimators: the motion, the kernels of a blind search; and the protocol that estimators keep."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from motdiff.io.plugins import load_object
 from motdiff.trajectory import Trajectory
 
-__all__ = ["Estimator", "MotionEstimate", "load_estimator"]
+__all__ = ["Estimator", "FoundKernels", "MotionEstimate", "load_estimator"]
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,36 @@ class MotionEstimate:
             raise ValueError(f"weights: must be non-negative and sum to 1, got {self.weights}")
         if not 0 <= self.confidence <= 1:
             raise ValueError(f"confidence: must lie within 0..1, got {self.confidence}")
+
+
+@dataclass(frozen=True)
+class FoundKernels:
+    """Kernels that a search found in the crops of one photo.
+
+    Attributes
+    ----------
+    kernels : tuple of (k, k) float, odd k, sum 1
+        Candidates.
+    probabilities : (K,) float
+        Of each to be good: sub-pixel MNC of 0.7 or more.
+    best : int
+        The chosen one.
+    details : dict
+        Figures for the report.
+    warnings : tuple of str
+        Warnings for the user, one sentence each.
+    """
+
+    kernels: tuple[NDArray[np.float64], ...]
+    probabilities: NDArray[np.float64]
+    best: int
+    details: dict[str, object] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def confidence(self) -> float:
+        """Probability that the chosen kernel is good."""
+        return float(self.probabilities[self.best])
 
 
 @runtime_checkable

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import Judge, kernel_score
 from motdiff.metrics import mnc_matrix, mnc_subpixel
-
-if TYPE_CHECKING:
-    from motdiff.estimators.multiscale import Found
 
 __all__ = ["GOOD_MNC", "Fusion", "cut_alike", "fuse"]
 
@@ -33,7 +30,7 @@ class Fusion:
 
     Attributes
     ----------
-    found : Found
+    found : FoundKernels
         The joint search, its best kernel chosen among that of the search and those of the photos; with warnings
         about photos that contradict it.
     crops : (C, H, W) float
@@ -44,7 +41,7 @@ class Fusion:
         MNC of each photo's own kernel with the shared one, of those left out as well.
     """
 
-    found: Found
+    found: FoundKernels
     crops: FloatArray
     kept: tuple[int, ...]
     left_out: tuple[int, ...]
@@ -76,9 +73,9 @@ def cut_alike(crops: Sequence[FloatArray]) -> list[FloatArray]:
 
 def fuse(
     crops: Sequence[FloatArray],
-    own: Sequence[Found],
+    own: Sequence[FoundKernels],
     *,
-    search: Callable[[FloatArray], Found],
+    search: Callable[[FloatArray], FoundKernels],
     refine: Callable[[FloatArray, FloatArray], FloatArray],
 ) -> Fusion:
     """Find the kernel that explains several photos, each with a latent image of its own.
@@ -95,7 +92,7 @@ def fuse(
     ----------
     crops : sequence of N (C, H, W) float
         Of each photo, of one size.
-    own : sequence of N Found
+    own : sequence of N FoundKernels
         What a search found in each photo alone.
     search : callable
         From crops (C, H, W) to what is found in them together.
@@ -139,8 +136,12 @@ def _warned(fusion: Fusion, warnings: Sequence[str]) -> Fusion:
 
 
 def _chosen(
-    joint: Found, own: Sequence[Found], judges: Sequence[Judge], *, refine: Callable[[FloatArray], FloatArray]
-) -> Found:
+    joint: FoundKernels,
+    own: Sequence[FoundKernels],
+    judges: Sequence[Judge],
+    *,
+    refine: Callable[[FloatArray], FloatArray],
+) -> FoundKernels:
     """Put the kernel of a photo, or its refinement, in place of the joint search's best where its score is higher."""
     singles = [found.kernels[found.best] for found in own]
     candidates = [joint.kernels[joint.best], *singles, *(refine(kernel) for kernel in singles)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from motdiff.crops import CROP_PX, best_windows, clipped_mask, textured_luminance
-from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.base import FoundKernels, MotionEstimate
 from motdiff.estimators.doubts import doubted
 from motdiff.estimators.fusion import GOOD_MNC, Fusion, cut_alike, fuse
 from motdiff.estimators.kernel_score import uneven_blur_warning
@@ -26,7 +26,7 @@ from motdiff.threads import one_thread_a_call
 from motdiff.tracing import is_tangled, simplest_trajectory
 from motdiff.trajectory import Trajectory
 
-__all__ = ["BlindEstimator", "Found", "without_faint_parts"]
+__all__ = ["BlindEstimator", "without_faint_parts"]
 
 FloatArray = NDArray[np.float64]
 _Photo = TypeVar("_Photo")
@@ -47,36 +47,6 @@ _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out hig
 # of paths whose kernel is good, the share that is right to within 1 px, in length and order: of arcs, bends and tangles
 _BENT_TURNS = 1.3
 _ARC_RIGHT, _BENT_RIGHT, _TANGLED_RIGHT = 0.9, 0.3, 0.1
-
-
-@dataclass(frozen=True)
-class Found:
-    """Kernels that a search found in the crops of one photo.
-
-    Attributes
-    ----------
-    kernels : tuple of (k, k) float, odd k, sum 1
-        Candidates.
-    probabilities : (K,) float
-        Of each to be good: sub-pixel MNC of 0.7 or more.
-    best : int
-        The chosen one.
-    details : dict
-        Figures for the report.
-    warnings : tuple of str
-        Warnings for the user, one sentence each.
-    """
-
-    kernels: tuple[FloatArray, ...]
-    probabilities: FloatArray
-    best: int
-    details: dict[str, object] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def confidence(self) -> float:
-        """Probability that the chosen kernel is good."""
-        return float(self.probabilities[self.best])
 
 
 class BlindEstimator(ABC):
@@ -111,11 +81,11 @@ class BlindEstimator(ABC):
         self._tell, self._progress = progress, Progress(progress)
 
     @abstractmethod
-    def search(self, crops: FloatArray) -> Found:
+    def search(self, crops: FloatArray) -> FoundKernels:
         """Search the kernel that the crops (C, H, W), grey, linear light, share."""
 
     @abstractmethod
-    def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:
+    def single(self, crops: FloatArray, found: FoundKernels) -> list[FloatArray]:
         """Search each crop alone, in the cheapest way, to test whether the blur is uniform."""
 
     def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:  # noqa: ARG002
@@ -192,7 +162,7 @@ class BlindEstimator(ABC):
         def piece(part: FloatArray) -> None:
             self._progress = Progress(whole.piece(part.size / sum(sizes)))
 
-        def together(part: FloatArray) -> Found:
+        def together(part: FloatArray) -> FoundKernels:
             piece(part)
             found = self.search(part)
             self._progress.finish()
@@ -208,7 +178,7 @@ class BlindEstimator(ABC):
         kept = np.concatenate([photographed[i] for i in fusion.kept])
         return _Level(factor, fusion.crops, fusion.found, kept, fusion, tuple(own))
 
-    def _searched(self, cut: _Cut) -> tuple[FloatArray, Found]:
+    def _searched(self, cut: _Cut) -> tuple[FloatArray, FoundKernels]:
         """Search crops, a lost blur once more without their clipped lights; the likelier one, after its crops."""
         found = self.search(cut.crops)
         if found.confidence >= _LOST or not 0 < cut.clipped.mean() <= MOST_LIGHTS:
@@ -249,10 +219,10 @@ class _Level:
 
     factor: int
     crops: FloatArray
-    found: Found
+    found: FoundKernels
     photographed: FloatArray
     fusion: Fusion | None = None
-    own: tuple[Found, ...] = ()
+    own: tuple[FoundKernels, ...] = ()
 
 
 def _textured_crops(photo: tuple[FloatArray, NDArray[np.bool_]], *, factor: int, count: int) -> _Cut:

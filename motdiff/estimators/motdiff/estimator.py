@@ -10,9 +10,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import Judge, candidate_probabilities, noise_sigma
 from motdiff.estimators.motdiff.drawing import draw_psfs
-from motdiff.estimators.multiscale import BlindEstimator, Found
+from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, planned, refined
 from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
@@ -89,7 +90,7 @@ class MotDiffEstimator(BlindEstimator):
         self._samples, self._steps, self._refine = samples, steps, refine
         self._seed = seed
 
-    def search(self, crops: FloatArray) -> Found:
+    def search(self, crops: FloatArray) -> FoundKernels:
         """Sample, score and refine kernels of the crops (C, H, W)."""
         after = _JUDGE_COST + _REFINE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0) + _TRACE_COST
         self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
@@ -127,9 +128,9 @@ class MotDiffEstimator(BlindEstimator):
             "sample_agreement": _agreement(drawn),
             "chosen": "sample" if origin < len(drawn) else "mean of samples" if origin == mean else "classical",
         }
-        return Found(tuple(kernels), believed, best, details)
+        return FoundKernels(tuple(kernels), believed, best, details)
 
-    def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:  # noqa: ARG002, the base class's
+    def single(self, crops: FloatArray, found: FoundKernels) -> list[FloatArray]:  # noqa: ARG002, the base class's
         """Run one quick search on each crop alone."""
         cost = _SINGLE_COST / len(crops)
         return side_by_side(

@@ -11,8 +11,9 @@ import torch
 from numpy.typing import NDArray
 
 from motdiff.crops import LEAST_PX
+from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import noise_sigma, rank_kernels
-from motdiff.estimators.multiscale import BlindEstimator, Found
+from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
 from motdiff.metrics import mnc_subpixel
 from motdiff.progress import Progress
@@ -98,7 +99,7 @@ class PmpEstimator(BlindEstimator):
         self._starts, self._device = starts, device
         self.largest_px = max(start.size for start in starts)
 
-    def search(self, crops: FloatArray) -> Found:
+    def search(self, crops: FloatArray) -> FoundKernels:
         """Run the starts on the crops (C, H, W) and refine the best once more."""
         single = _SINGLE_COST if len(crops) > 1 else 0.0
         self._progress.expect(planned(len(self._starts)) + _RANK_COST + _REFINE_COST + single + _TRACE_COST)
@@ -108,7 +109,7 @@ class PmpEstimator(BlindEstimator):
         kernels[ranking.best] = refined(crops, kernels[ranking.best], _sigma(crops), device=self._device)
         self._progress.spend(_REFINE_COST)
         details: dict[str, object] = {"starts": len(kernels), "agreement": ranking.agreement}
-        return Found(tuple(kernels), ranking.probabilities, ranking.best, details)
+        return FoundKernels(tuple(kernels), ranking.probabilities, ranking.best, details)
 
     def kernels(self, crops: FloatArray, *, progress: Progress | None = None) -> list[FloatArray]:
         """Kernels of the starts on the crops (C, H, W), each (size, size), sum 1; of the first two where they agree.
@@ -125,7 +126,7 @@ class PmpEstimator(BlindEstimator):
                 found += side_by_side(jobs[2:])
         return found
 
-    def single(self, crops: FloatArray, found: Found) -> list[FloatArray]:
+    def single(self, crops: FloatArray, found: FoundKernels) -> list[FloatArray]:
         """Run the winning start on each crop alone."""
         cost = _SINGLE_COST / len(crops)
         return side_by_side(

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.fusion import cut_alike, fuse
-from motdiff.estimators.multiscale import Found
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import Start
 from motdiff.metrics import mnc_subpixel
@@ -22,7 +22,7 @@ def photo(psf, seed, *, side=120):
 
 
 def found(psf, confidence=0.9):
-    return Found((psf, POINT), np.array([confidence, 0.1]), 0, {"starts": 2})
+    return FoundKernels((psf, POINT), np.array([confidence, 0.1]), 0, {"starts": 2})
 
 
 class Search:

@@ -5,7 +5,8 @@ import pytest
 import torch
 from threadpoolctl import threadpool_info
 
-from motdiff.estimators.multiscale import BlindEstimator, Found, without_faint_parts
+from motdiff.estimators.base import FoundKernels
+from motdiff.estimators.multiscale import BlindEstimator, without_faint_parts
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
 from motdiff.tracing import is_tangled
@@ -40,7 +41,7 @@ class FakeSearch(BlindEstimator):
         self.seen.append(crops)
         kernels, probabilities = zip(*self.others, (kernel, confidence), strict=True)
         best = len(self.others)
-        return Found(kernels, np.array(probabilities), best, {"answer": len(self.seen)}, tuple(self.warnings))
+        return FoundKernels(kernels, np.array(probabilities), best, {"answer": len(self.seen)}, tuple(self.warnings))
 
     def single(self, crops, found):
         self.alone.append((crops, found))
@@ -557,7 +558,7 @@ def test_the_search_says_how_small_a_photo_may_be():
 
 
 def test_found_is_as_sure_as_its_choice():
-    found = Found((line(), line(5)), np.array([0.2, 0.7]), 0)
+    found = FoundKernels((line(), line(5)), np.array([0.2, 0.7]), 0)
     assert found.confidence == 0.2
     assert found.details == {}
     assert found.warnings == ()

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import noise_sigma
 from motdiff.estimators.motdiff import MotDiffEstimator, drawing
 from motdiff.estimators.motdiff import estimator as module
 from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
-from motdiff.estimators.multiscale import Found
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, Start, planned
 from motdiff.evaluation.methods import NetworkAlone, named_estimators
@@ -537,7 +537,7 @@ def test_a_network_of_photo_and_physics(weights_of, no_search, no_tracing):
 def test_each_crop_alone_is_searched_once(physics_only, no_search):
     estimator = MotDiffEstimator(weights=physics_only)
     crops = np.stack([photo_of(STRAIGHT, 80, 80, seed=seed) for seed in range(3)])
-    found = Found((STRAIGHT.psf(63),), np.ones(1), 0)
+    found = FoundKernels((STRAIGHT.psf(63),), np.ones(1), 0)
     singles = estimator.single(crops, found)
     assert len(singles) == 3
     assert sorted(call[1] for call in no_search) == sorted(noise_sigma(crop) for crop in crops)
