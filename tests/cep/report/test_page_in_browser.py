@@ -4,13 +4,11 @@ import shutil
 
 import numpy as np
 import pytest
+from emulators.tools import give_up
 
 from cep.io.images import encode_image
 from cep.report.result_page import Picture, Report, Section, Table, write_report
 
-browsers = pytest.importorskip("playwright.sync_api")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
 PHONE, DESK = 380, 1200
 
 
@@ -36,8 +34,15 @@ def address(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser():
-    with browsers.sync_playwright() as play:
-        started = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        give_up("playwright is not installed: see .ci/tools")
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if chromium is None:
+        give_up("no Chromium is installed: see .ci/tools")
+    with sync_playwright() as play:
+        started = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         yield started
         started.close()
 
