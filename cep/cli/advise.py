@@ -185,12 +185,16 @@ def _show(
     levels = [
         (
             f"{one.camera.photons_full_scale:,.0f}",
-            *(one.gains_db.get(kind) for kind in ("snapshot", "code")),
+            *(
+                f"{gain:+.2f}" if (gain := one.gains_db.get(kind)) is not None else None
+                for kind in ("snapshot", "code")
+            ),
             one.choice,
         )
         for one in advice.levels
     ]
     console.print(table("over the light", ("photo-electrons", "single exposure, dB", "code, dB", "advised"), levels))
     others = in_words_of_chips(other_chips_db)
-    console.print(f"{problem.chips} chips of {duration(problem.chip_ns * 1e-9)}{f'; {others}' if others else ''}")
+    chip, whole = (duration(time_ns * 1e-9) for time_ns in (problem.chip_ns, problem.chips * problem.chip_ns))
+    console.print(f"{problem.chips} chips of {chip}, {whole} in all{f'; {others}' if others else ''}")
     console.print(f"{plot}: gains over the light")

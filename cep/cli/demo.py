@@ -15,7 +15,6 @@ from cep.cli.options import CameraFile, Force, Gamma, Json, Photons, ReadNoise, 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cep.optics.camera import Camera
 
 __all__ = ["demo"]
 
@@ -92,7 +91,7 @@ def demo(
             scene, seen_by, exposure_s=exposure_s, device=profile, chips=chips, seed=seed, tell=part(tick, *_CHAIN)
         )
         tick(_CHAIN[1], "writing the report")
-        figures = write_demo(output, chain, options=_options(camera, seen_by, device), force=force)
+        figures = write_demo(output, chain, options=_options(camera, photons, read_noise, device), force=force)
         tick(1.0)
     result = {**figures, "seconds": time.perf_counter() - started}
 
@@ -111,10 +110,12 @@ _UNNAMED = (
 )
 
 
-def _options(name: str | None, camera: Camera, device: str | None) -> str:
-    """Say how a command line names the camera and the device."""
+def _options(camera: str | None, photons: float | None, read_noise: float | None, device: str | None) -> str:
+    """Say on a command line what was said on this one of the camera and the device."""
     import shlex
 
-    named = [] if name is None else ["--camera", name]
-    light = ["--photons", f"{camera.photons_full_scale:g}", "--read-noise", f"{camera.read_noise_e:g}"]
-    return shlex.join([*([] if device is None else ["--device", device]), *named, *light])
+    given = {"--device": device, "--camera": camera, "--photons": photons, "--read-noise": read_noise}
+    texts = {
+        name: value if isinstance(value, str) else f"{value:g}" for name, value in given.items() if value is not None
+    }
+    return shlex.join(part for item in texts.items() for part in item)

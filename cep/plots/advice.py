@@ -29,7 +29,10 @@ def advice_figure(advice: Advice) -> Figure:
     axes.axhline(0.0, color="black", linewidth=1.0)
     full = next((level for level, one in zip(light, advice.levels, strict=True) if one.open_saturates), None)
     saturates = "" if full is None else f"; at {full:,.0f} and more it saturates"
-    axes.text(light[0], 0.0, f"open shutter{saturates}", fontsize=9, va="bottom")
+    axes.annotate(
+        f"open shutter{saturates}", (light[-1], 0.0), xytext=(0, -3), textcoords="offset points", fontsize=9,
+        ha="right", va="top",
+    )  # fmt: skip
     for (kind, name), colour, line in zip(_NAMES.items(), COLOURS, LINES, strict=False):
         gains = [(one.camera.photons_full_scale, one.gains_db) for one in advice.levels]
         points = [(level, gain[kind]) for level, gain in gains if kind in gain]

@@ -43,7 +43,7 @@ _INTERVALS = 128
 _NAMES = {"open": "open shutter", "snapshot": "best single exposure", "coded": "best code"}
 
 
-def demo_report(chain: Chain, *, options: str = "") -> Report:
+def demo_report(chain: Chain, *, options: str = "", guide: str = "") -> Report:
     """Make the report of a chain.
 
     Parameters
@@ -51,17 +51,19 @@ def demo_report(chain: Chain, *, options: str = "") -> Report:
     chain : Chain
     options : str
         How camera and device are named on a command line.
+    guide : str
+        Address of docs/hardware.md; the page names it without a link when empty.
     """
     colophon = (
         f"coded-exposure {_version('coded-exposure')}, numpy {_version('numpy')}, torch {_version('torch')}, "
-        f"Python {platform.python_version()}; seed {chain.seed}; camera: {chain.camera}. "
+        f"Python {platform.python_version()}; seed {chain.seed}. demo.json holds all figures of the camera. "
         + "Seconds: " + ", ".join(f"{what} {seconds:.1f}" for what, seconds in chain.seconds) + "."
     )  # fmt: skip
     sections = [_gain(chain), _photos(chain), motion_section(chain), _exposure(chain), _mtf(chain), _agreement(chain)]
     if chain.contrast is not None:
         sections.append(_contrast(chain.contrast))
     if chain.coded:
-        sections.append(_wiring(chain))
+        sections.append(_wiring(chain, guide))
     return Report(
         "Should this exposure be coded?",
         chain.advice.here.sentence,
@@ -101,7 +103,7 @@ def _setting(chain: Chain) -> str:
     device = "any shutter" if chain.device is None else f"the shutter {chain.device.name}"
     return (
         f"For {named}{kind}: {camera.photons_full_scale:,.0f} photo-electrons at full scale, {camera.read_noise_e:.3g} "
-        f"e⁻ of fixed noise, {camera.bits} bit; an exposure of {duration(chain.exposure_s)}, {chain.problem.chips} "
+        f"e- of read noise, {camera.bits} bit; an exposure of {duration(chain.exposure_s)}, {chain.problem.chips} "
         f"chips, {device}; motion of {chain.estimate.best.length_px:.0f} px."
     )
 
@@ -213,7 +215,7 @@ def _gains_table(advice: Advice) -> Table:
         ("best of each kind", "open for", "openings", "expected gain, dB"),
         tuple(rows),
         highlight=advised,
-        note=f"At {light} and {here.camera.read_noise_e:.3g} e⁻ of fixed noise; of the worse direction where the "
+        note=f"At {light} and {here.camera.read_noise_e:.3g} e- of read noise; of the worse direction where the "
         "motion's is not known. The marked line is advised.",
     )
 
@@ -449,9 +451,10 @@ def _contrast(advice: Advice) -> Section:
     return Section(
         "Where coding is wrong" if wrong else "Another camera",
         (
-            f"The same motion and exposure with {camera.name} ({camera.kind}): {advice.sentence}",
-            "The closed chips of a code cost light. That pays only where fixed noise, as of compression or of reading "
-            "out, is large against the noise of the light itself.",
+            f"The same motion and exposure with another camera, {camera.name} ({camera.kind}).",
+            advice.sentence,
+            "A code closes the shutter for part of the time and so loses light. That pays only where read noise, or a "
+            "noise like it as that of compression, is large beside the noise of the light itself.",
         ),
         (_gains_table(advice),),
         (
@@ -464,7 +467,7 @@ def _contrast(advice: Advice) -> Section:
     )
 
 
-def _wiring(chain: Chain) -> Section:
+def _wiring(chain: Chain, guide: str) -> Section:
     assert chain.code is not None  # only where one is advised
     shortest = min(count for bit, count in chain.code.runs if bit) * chain.code.chip_ns * 1e-9
     return Section(
@@ -478,9 +481,10 @@ def _wiring(chain: Chain) -> Section:
             "low. The camera exposes for the whole time, and its trigger output starts the code.",
             "Cameras with several exposures in one frame (FLIR trigger mode 5, Sony Pregius burst) need no shutter: "
             "cep export --format camera writes the code as a list of widths and gaps.",
-            "docs/hardware.md of the project has every route, the firmware, and how to check the edges with a logic "
-            "analyser.",
+            "docs/hardware.md of the project lists devices to buy, the firmware, and how to check the edges with a "
+            "logic analyser.",
         ),
+        links=(("docs/hardware.md", guide),) if guide else (),
     )
 
 

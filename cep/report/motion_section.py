@@ -58,7 +58,7 @@ def _found(chain: Chain) -> str:
     return (
         f"The motion was photographed {len(chain.found.codes)} times, with the shutter open and through known codes, "
         f"which write the time onto the path. Together these photos {path}, and expect it to be "
-        f"{estimate.details['path_uncertainty_px']:.2f} px off."
+        f"{estimate.path_error_px:.2f} px off."
     )
 
 
@@ -128,11 +128,11 @@ def _alone(chain: Chain) -> tuple[Table, ...]:
 def _alternatives(chain: Chain) -> tuple[Table, ...]:
     estimate, motion = chain.estimate, chain.estimate.best
     others = tuple(
-        (f"alternative {i}", weight, path.length_px, path_distance_px(path, motion))
+        (f"alternative {i}", f"{weight:.2f}", f"{path.length_px:.1f}", f"{path_distance_px(path, motion):.1f}")
         for i, (weight, path) in enumerate(zip(estimate.weights[1:], estimate.trajectories[1:], strict=True), 1)
     )
     if not others:
         return ()
-    rows = (("most likely", estimate.weights[0], motion.length_px, 0.0), *others)
+    rows = (("most likely", f"{estimate.weights[0]:.2f}", f"{motion.length_px:.1f}", "0"), *others)
     note = "Other paths that explain the photos."
     return (Table(("path", "weight", "length, px", "distance, px"), rows, highlight=0, note=note),)

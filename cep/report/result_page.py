@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -19,6 +20,8 @@ from cep.io.outputs import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_NUMBER = re.compile(r"–$|[<>]?\s*[+−-]?[\d.]")
 
 __all__ = ["Picture", "Report", "Section", "Table", "html", "picture", "write_report"]
 
@@ -78,10 +81,16 @@ class Table:
             if len(row) != len(self.columns):
                 raise ValueError(f"rows: need {len(self.columns)} cells, found {len(row)} in {row[:1]}")
 
+    @property
+    def numeric(self) -> tuple[bool, ...]:
+        """Whether each column holds numbers, which are aligned to the right; the first one never does."""
+        columns = [[_cell(row[i]) for row in self.rows] for i in range(1, len(self.columns))]
+        return (False, *(all(_NUMBER.match(cell) for cell in column) for column in columns))
+
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a report: text, warnings, a gallery, tables, pictures, commands, in this order.
+    """A section of a report: text, links, warnings, a gallery, pictures, tables, commands, in this order.
 
     Attributes
     ----------
@@ -96,6 +105,8 @@ class Section:
         Figures, below each other.
     commands : tuple of str
         Lines for a shell.
+    links : tuple of (text, address)
+        Followed only when they are clicked.
     """
 
     title: str
@@ -106,6 +117,7 @@ class Section:
     gallery: tuple[Picture, ...] = ()
     compared: tuple[int, int] | None = None
     commands: tuple[str, ...] = ()
+    links: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)

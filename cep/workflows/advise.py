@@ -59,12 +59,15 @@ class Verdict:
     ways : tuple of Way
         The open shutter first, then every other that was tried; at least one is possible.
     code_name : str
-        What the sentence calls the best code.
+        Name of the best code in the sentence; empty where it is only a strobe that was tried beside a single opening.
+    path_error_px : float
+        Rms error that the path was taken to have.
     """
 
     camera: Camera
     ways: tuple[Way, ...]
     code_name: str = "the best code found"
+    path_error_px: float = 0.0
 
     @property
     def possible(self) -> tuple[Way, ...]:
@@ -130,32 +133,44 @@ class Verdict:
 
     @property
     def sentence(self) -> str:
-        """What to do, and what it gains: one or two sentences."""
-        way, light = self.advised, _light(self.camera)
-        code, snapshot = self.best("code"), self.best("snapshot")
-        over_open = (
-            "" if self.open_saturates else f"{_better(way.psnr_db - self.ways[0].psnr_db)} than the open shutter"
-        )
+        """What to do and what it gains, then under which conditions."""
+        way, code, snapshot = self.advised, self.best("code"), self.best("snapshot")
+        gains = [] if self.open_saturates else [_gain(way.psnr_db - self.ways[0].psnr_db, "the open shutter")]
         if way.kind == "open":
-            said = f"Leave the shutter open: no shorter exposure and no code found gains {WORTH_DB:g} dB{light}."
+            said = f"Leave the shutter open: no shorter exposure and no code found gains {WORTH_DB:g} dB"
         elif way.kind == "snapshot":
-            lost = 0.0 if code is None else way.psnr_db - code.psnr_db
-            than = f"{_better(lost)} than {self.code_name}" if lost >= WORTH_DB else f"as well as {self.code_name}"
-            than = "" if code is None else than
-            said = f"Coding does not pay here: expose {_share(way.code)}{_restores('; ', than, over_open)}{light}."
+            said = f"Coding does not pay here: expose {_share(way.code)}"
+            if code is not None and self.code_name:
+                gains.append(_gain(way.psnr_db - code.psnr_db, self.code_name))
+            said += _joined(", which ", gains)
+            said += "" if self.code_name else "; no code that was tried is better"
         else:
             do = "Code this exposure" if way.kind == "code" else f"Pulse the shutter evenly, {_pulses(way.code)}"
-            over = "" if snapshot is None else f"{_better(way.psnr_db - snapshot.psnr_db)} than {_run(snapshot)}"
-            said = f"{do}{_restores(': ', over, over_open)}{light}."
+            if snapshot is not None:
+                gains.append(
+                    _gain(way.psnr_db - snapshot.psnr_db, f"the best single exposure, {_share(snapshot.code)}")
+                )
+            said = do + _joined(": that ", gains)
+        said += f". Gains are those expected of the restored photo, {self._conditions}."
         if code is None:
             said += " No code is possible."
         if self.open_saturates:
             said += " The open shutter saturates at this light."
         if (other := self.outside) is not None:
-            said += (
-                f" If the limits can be loosened, {_run(other)} restores {_better(other.psnr_db - way.psnr_db)} still."
-            )
+            said += f" If the limits can be loosened, {_run(other)} gains {_amount(other.psnr_db - way.psnr_db)} more."
         return said
+
+    @property
+    def _conditions(self) -> str:
+        """Light, noise and the error of the path, in words."""
+        camera = self.camera
+        noise = [f"{camera.read_noise_e:.3g} e- of read noise"]
+        if camera.dark_current_e_s:
+            noise.append(f"{camera.dark_current_e_s:.3g} e-/s of dark current")
+        if self.path_error_px:
+            noise.append(f"a path known to {self.path_error_px:.2g} px")
+        light = f"at {camera.photons_full_scale:,.0f} photo-electrons at full scale"
+        return f"{', '.join([light, *noise[:-1]])} and {noise[-1]}"
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON."""
@@ -297,11 +312,12 @@ def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 
     name = "this code" if len(codes) == 1 else "the best of these codes"
     found = judged_ways(problem, [problem.camera], ways, path_error_px=path_error_px)[0]
     best_possible(found)
-    judged = Verdict(problem.camera, found, name)
+    judged = Verdict(problem.camera, found, name, path_error_px)
     best = judged.best("code")
     if best is None or best.code.bits in {code.bits for code in codes}:
         return judged
-    return replace(judged, code_name=_pulses(best.code))  # even pulses that are no code of the user's
+    single = all(code.pulses == 1 for code in codes)  # and what codes there are is no code of the user's
+    return replace(judged, code_name="" if single else "the best even pulses")
 
 
 def advise(
@@ -368,7 +384,7 @@ def advise(
     progress(len(cameras) / parts, "judging")
     judged = judged_ways(problem, cameras, pool, path_error_px=path_error_px)
     verdicts = tuple(
-        Verdict(camera, ways)
+        Verdict(camera, ways, path_error_px=path_error_px)
         for camera, ways in zip(cameras, judged, strict=True) if any(way.possible for way in ways)
     )  # fmt: skip
     here = next((one for one in verdicts if one.camera.photons_full_scale == own), None)
@@ -384,22 +400,23 @@ def _check_codes(problem: SearchProblem, codes: Sequence[ShutterCode]) -> None:
         raise ValueError(f"codes: must have {problem.chips} chips")
 
 
-def _restores(mark: str, *gains: str) -> str:
-    """Gains in words, those that are not empty, after a punctuation mark."""
-    stated = [gain for gain in gains if gain]
-    return f"{mark}that restores {' and '.join(stated)}" if stated else ""
+def _joined(begins: str, gains: Sequence[str]) -> str:
+    """Gains as one clause, empty without any; the verb stands once where it is the same."""
+    if not gains:
+        return ""
+    verb = gains[0].split()[0] + " "
+    return begins + " and ".join([gains[0], *(gain.removeprefix(verb) for gain in gains[1:])])
 
 
-def _light(camera: Camera) -> str:
-    light, read = f"{camera.photons_full_scale:,.0f} photo-electrons", f"{camera.read_noise_e:.3g} e- of read noise"
-    if not camera.dark_current_e_s:
-        return f", at {light} at full scale and {read}"
-    return f", at {light} at full scale, {read} and {camera.dark_current_e_s:.3g} e-/s of dark current"
+def _gain(gain_db: float, over: str) -> str:
+    """Say what is gained over another exposure, or lost to it."""
+    if abs(gain_db) < WORTH_DB:
+        return f"restores as well as {over}"
+    return f"gains {_amount(gain_db)} over {over}" if gain_db > 0 else f"loses {_amount(gain_db)} to {over}"
 
 
-def _better(gain_db: float) -> str:
-    size = f"{abs(gain_db):.1f} dB" if abs(gain_db) >= 0.95 else f"{abs(gain_db):.2f} dB"
-    return f"{size} {'better' if gain_db >= 0 else 'worse'}"
+def _amount(gain_db: float) -> str:
+    return f"{abs(gain_db):.1f} dB" if abs(gain_db) >= 0.95 else f"{abs(gain_db):.2f} dB"
 
 
 def _run(way: Way) -> str:
@@ -430,5 +447,5 @@ def _range(low: float | None, high: float | None) -> str:
     """Range of light in words, its ends to two digits."""
     ends = [None if end is None else f"{float(f'{end:.2g}'):,.0f}" for end in (low, high)]
     if low is None:
-        return f"below {ends[1]}"
-    return f"above {ends[0]}" if high is None else f"from {ends[0]} to {ends[1]}"
+        return f"up to {ends[1]}"
+    return f"from {ends[0]} on" if high is None else f"from {ends[0]} to {ends[1]}"

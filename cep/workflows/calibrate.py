@@ -469,7 +469,10 @@ def write_calibration(
     """
     best = estimate.trajectories[0]
     alternatives = tuple(zip(estimate.weights[1:], estimate.trajectories[1:], strict=True))
-    stored = StoredMotion(best, estimate.weights[0], alternatives, {"method": estimate.method, **(source or {})})
+    about: dict[str, object] = {"method": estimate.method, **(source or {})}
+    if estimate.path_error_px is not None:  # cep advise and cep optimize choose exposures by it
+        about["path_uncertainty_px"] = estimate.path_error_px
+    stored = StoredMotion(best, estimate.weights[0], alternatives, about)
     with new_folder(folder, CALIBRATION_FILES, force=force) as made:
         write_motion(made / "trajectory.json", stored)
         write_psf(made, estimate.psf)

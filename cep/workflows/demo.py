@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from urllib.parse import quote
 
 from cep.io.files import DEMO_SCHEMA, StoredCode, json_text, write_code
 from cep.io.images import write_image
@@ -73,13 +75,22 @@ def write_demo(folder: Path | str, chain: Chain, *, options: str = "", force: bo
                 with suppress(ValueError):  # the sketch plays chips of 50 us to 32 ms only
                     write_text(made / name, export_program(program, file_format))
             write_image(made / "coded.png", chain.advised_shot.photo, bits=16)
-        report = demo_report(chain, options=options)
+        report = demo_report(chain, options=options, guide=_guide(target))
         shown = [one for section in report.sections for one in (*section.pictures, *section.gallery) if one.name]
         for one in shown:
             (made / f"{one.name}.png").write_bytes(one.png)
         write_report(made / "report.html", report)
         write_text(made / "demo.json", json_text(figures))
     return figures
+
+
+def _guide(folder: Path) -> str:
+    """Address of docs/hardware.md from a folder; empty where the package is installed without the documents."""
+    guide = Path(__file__).resolve().parents[2] / "docs" / "hardware.md"
+    try:
+        return quote(Path(os.path.relpath(guide, folder.resolve())).as_posix()) if guide.is_file() else ""
+    except ValueError:  # on another drive
+        return ""
 
 
 def _figures(chain: Chain) -> dict[str, object]:
@@ -96,7 +107,7 @@ def _figures(chain: Chain) -> dict[str, object]:
         "method": chain.estimate.method,
         "length_px": chain.estimate.best.length_px,
         "confidence": chain.estimate.confidence,
-        "path_uncertainty_px": chain.estimate.details.get("path_uncertainty_px"),
+        "path_uncertainty_px": chain.estimate.path_error_px,
         "calibration_codes": [code.bits for code in chain.found.codes],
         "open_photo_alone": _open_photo_alone(chain),
         "bits": None if chain.code is None else chain.code.bits,

@@ -217,13 +217,15 @@ def run_chain(
 
     clock.begin(_FOUND, "comparing exposures")
     problem = problem_along(estimate, chips)
+    error_px = estimate.path_error_px or 0.0
     advice = advise(
-        problem, levels=levels, seed=seed,
+        problem, levels=levels, path_error_px=error_px, seed=seed,
         progress=lambda share, what: tell(_FOUND + 0.8 * (_ADVISED - _FOUND) * share, what),
     )  # fmt: skip
     contrast = None
     if advice.choice in ("strobe", "code"):
-        contrast = advise(replace(problem, camera=Camera.load(CONTRAST)), levels=LIGHT_LEVELS, seed=seed)
+        other = replace(problem, camera=Camera.load(CONTRAST))
+        contrast = advise(other, levels=LIGHT_LEVELS, path_error_px=error_px, seed=seed)
     certificates = tuple(
         (kind, certify(way.code, estimate.best)) for kind, way in _ways(advice).items() if kind != "coded" or contrast
     )

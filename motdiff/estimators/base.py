@@ -52,6 +52,12 @@ class MotionEstimate:
         """The likeliest trajectory."""
         return self.trajectories[0]
 
+    @property
+    def path_error_px(self) -> float | None:
+        """Expected error of the likeliest trajectory, px rms over time; None where the method does not say."""
+        stated = self.details.get("path_uncertainty_px")
+        return stated if isinstance(stated, float) and stated > 0 else None
+
     def __post_init__(self) -> None:
         if not self.trajectories or len(self.trajectories) != len(self.weights):
             raise ValueError("trajectories: need at least one, and as many weights")

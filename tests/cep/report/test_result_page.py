@@ -136,3 +136,15 @@ def test_same_report_same_bytes(report, tmp_path):
 def test_ragged_tables_are_refused():
     with pytest.raises(ValueError, match="need 2 cells"):
         Table(("a", "b"), (("only one",),))
+
+
+def test_numbers_stand_right_and_text_stands_left():
+    rows = (("ours", 0.5, "+1.20", "can be played", None), ("open", None, "33.3 ms", "2 openings are too many", 3))
+    table = Table(("code", "MTF", "gain", "device", "count"), rows)
+    assert table.numeric == (False, True, True, False, True)
+
+
+def test_links_are_followed_only_when_clicked():
+    page = html(Report("Title", "Summary", sections=(Section("Wiring", links=(("a & b", "../docs/a%20b.md"),)),)))
+    assert ("a", "href", "../docs/a%20b.md") in read(page).attributes
+    assert ">a &amp; b</a>" in page

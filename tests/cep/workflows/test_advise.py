@@ -1,5 +1,6 @@
 """The verdict: never a code while something simpler is better, and the published limit of what a code can gain."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -77,11 +78,19 @@ def test_the_kinds_of_a_verdict():
 
 
 def test_the_sentence_names_what_was_judged():
-    """A code of one opening is a snapshot: what it is compared with are even pulses, and not "this code"."""
-    found = verdict(along(camera=QUIET), ShutterCode("1" + "0" * 23))
-    assert found.choice == "snapshot"
-    assert "this code" not in found.sentence
-    assert " pulses of " in found.sentence
+    """A search that ends on a single opening found no better code; a code of the user's is compared with."""
+    single, coded = (verdict(along(camera=QUIET), ShutterCode(bits)) for bits in ("1" + "0" * 23, "110100101011" * 2))
+    assert single.choice == coded.choice == "snapshot"
+    assert "; no code that was tried is better. " in single.sentence
+    assert " dB over " not in single.sentence.partition("over the open shutter")[2]
+    assert re.search(r"and [\d.]+ dB over (this code|the best even pulses)\. ", coded.sentence)
+
+
+def test_the_sentence_says_under_which_conditions():
+    found = verdict(along(camera=NOISY))
+    assert found.sentence.endswith("at 10,000 photo-electrons at full scale and 50 e- of read noise.")
+    known = verdict(along(camera=replace(NOISY, dark_current_e_s=20.0)), path_error_px=0.25)
+    assert known.sentence.endswith("50 e- of read noise, 20 e-/s of dark current and a path known to 0.25 px.")
 
 
 def test_a_short_share_is_said_in_digits():
@@ -120,7 +129,7 @@ def test_nothing_is_called_better_by_less_than_nothing():
     """Limits that cost light: what they leave is worse than the open shutter, which is named."""
     found = verdict(along(Trajectory.straight(10.0), 20, camera=Camera(100.0), open_range=(2, 4)))
     assert found.gains_db["snapshot"] < 0
-    assert "dB worse than the open shutter" in found.sentence
+    assert re.search(r"loses [\d.]+ dB to the open shutter", found.sentence)
     assert found.outside.kind in ("open", "snapshot")
     assert "If the limits can be loosened, " in found.sentence
 
@@ -196,7 +205,7 @@ def test_ways_that_saturate_are_no_ways():
     assert here.open_saturates
     assert "open" not in here.gains_db
     assert here.equal_light_gains_db == {}
-    assert "than the open shutter" not in here.sentence
+    assert "the open shutter" not in here.sentence.removesuffix("The open shutter saturates at this light.")
     assert here.sentence.endswith("The open shutter saturates at this light.")
     assert not advice.levels[0].open_saturates
 

@@ -23,7 +23,7 @@ from cep.workflows.demo_scene import FoundMotion, bundled_scene, find_motion, ow
 from hw.device import load_profile
 from hw.export import EXPORTERS
 from motdiff.estimators.reference import ReferenceEstimator
-from motdiff.io.trajectories import read_motion
+from motdiff.io.trajectories import read_motion, stated_uncertainty_px
 from motdiff.metrics import timed_distance_px
 from motdiff.trajectory import Trajectory
 
@@ -126,6 +126,16 @@ def test_where_it_does_not_the_snapshot_is_better(plain):
     assert (plain.code, plain.contrast, plain.alone) == (None, None, None)
     gains = plain.gains_db()
     assert gains["snapshot"] > max(gains["open"], gains["coded"])
+
+
+def test_the_error_of_the_calibration_counts(calibrated, coded, tmp_path):
+    """In the verdict of the page, and for who runs its commands on the motion that lies beside it."""
+    assert coded.advice.path_error_px == 0
+    assert calibrated.advice.path_error_px == calibrated.contrast.path_error_px == 0.2
+    assert "a path known to 0.2 px" in calibrated.advice.sentence
+    write_demo(tmp_path / "demo", calibrated)
+    path = tmp_path / "demo" / "trajectory.json"
+    assert stated_uncertainty_px(read_motion(path), path) == 0.2
 
 
 def test_restoring_helps(either):
