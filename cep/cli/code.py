@@ -65,7 +65,9 @@ def audit(
 ) -> None:
     """Measure a code: its proven minimum and true zeros, the grids that hide them, and better codes a few flips away.
 
-    Without a motion the figures are those of a straight one of 1 px a chip. A code.json's certificate is checked by a
+    Along a motion it is said first whether the code is the exposure to take with this camera: verdict, choice and
+    gains_db of --json, as of cep advise. Without a motion these are null, and the figures are those of a straight one
+    of 1 px a chip. A code.json's certificate is checked by a
     second, separate program: verified says whether it holds and why, null where there is none. Noise gains above 100
     dB, those of codes with a zero, are null in JSON. figures has those of --figure: a number, or [forward, backward]
     where the direction is unknown.
@@ -82,17 +84,26 @@ def audit(
     from cep.proofs.audit import audit as audited
     from cep.proofs.measure import find_figures
     from cep.proofs.verify.certificates import verify
+    from cep.search.problem import SearchProblem
+    from cep.workflows.advise import verdict as judge
+    from motdiff.io.trajectories import stated_uncertainty_px
 
     stored = find_code(code, chip_ns=chip_ns)
     noise = load_camera(camera, photons=photons, read_noise=read_noise)
     stated = trajectory is not None or linear is not None
-    motion = load_motion(trajectory, linear).trajectory if stated else None
+    moved = load_motion(trajectory, linear) if stated else None
+    error_px = None if moved is None or trajectory is None else stated_uncertainty_px(moved, trajectory)
+    motion = None if moved is None else moved.trajectory
     own = find_figures(figure or ())
     with progress("auditing") as tick:
         found = audited(
             stored.code, motion, camera=noise, flips=flips, figures=own, progress=tick,
             on_checked=lambda: claim([output] if output else [], force=force),
         )  # fmt: skip
+        judged = None
+        if motion is not None:
+            problem = SearchProblem.along(motion, chips=stored.code.chips, chip_ns=stored.code.chip_ns, camera=noise)
+            judged = judge(problem, stored.code, path_error_px=error_px or 0.0)
     verdict = None
     if stored.certificate:
         path = None if motion is None else (motion.t.tolist(), motion.xy.tolist())
@@ -104,20 +115,30 @@ def audit(
         warnings.append(f"{code}: its certificate is not confirmed: {verdict.reasons[-1]}")
     elif verdict is not None and not straight and not _covers(stored.certificate, minimum.directions):
         warnings.append(f"{code}: its certificate does not cover this motion, {' and '.join(minimum.directions)}")
-    result = {**found.to_dict(), "verified": verdict, "seed": seed, "warnings": warnings}
+    said = None if judged is None else judged.sentence
+    advised = {
+        "verdict": said,
+        "choice": None if judged is None else judged.choice,
+        "gains_db": None if judged is None else judged.gains_db,
+    }
+    result = {**advised, **found.to_dict(), "verified": verdict, "seed": seed, "warnings": warnings}
     if output:
         write_text(output, json_text(result))
-    finish(result, as_json=as_json, show=lambda console: _show(console, found, verdict, stated=stated))
+    finish(result, as_json=as_json, show=lambda console: _show(console, found, verdict, said=said))
 
 
-def _show(console: Console, found: Audit, verdict: Verdict | None, *, stated: bool) -> None:
-    """Print an audit for people."""
+def _show(console: Console, found: Audit, verdict: Verdict | None, *, said: str | None) -> None:
+    """Print an audit for people; what is said first stands for a stated motion."""
     from cep.proofs.measure import figure_head, figure_in_words
+
+    if said is not None:
+        console.print(said)
 
     shutter, motion, minimum, straight = found.code, found.trajectory, found.certificate, found.along is None
     console.print(f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings: {shutter.bits}")
     console.print(
-        f"motion: {motion.length_px:.1f} px, direction {motion.direction}" + ("" if stated else " (1 px a chip)")
+        f"motion: {motion.length_px:.1f} px, direction {motion.direction}"
+        + ("" if said is not None else " (1 px a chip)")
     )
     rows = [(name, found.metrics.in_words(name)) for name in found.metrics.to_dict()]
     rows += [(figure_head(*item), figure_in_words(item[1])) for item in found.figures.items()]

@@ -66,6 +66,7 @@ def optimize_frames(task: Task, frames: int, run: SearchRun) -> Callable[[], Non
 def _show(console: Console, *, best: FramesOptimum, files: Sequence[Path]) -> None:
     """Print the codes and what they are worth together for people."""
     codes, straight = best.found.codes, best.problem.on_circle
+    console.print(best.verdict.sentence)
     for file, code in zip(files, codes, strict=True):
         console.print(f"{file}: {code.bits}")
     lowest = "min_chip" if straight else "min_mtf"

@@ -112,6 +112,9 @@ def pareto(
     zeros at single frequencies: the front is then over noise and light alone, noise and minimum are those over the
     samples, and the minimum, which proves nothing, is shown for comparison.
 
+    Along a motion it is said first whether to code at all: verdict, choice and gains_db of --json, as of cep optimize,
+    are null without a motion. single is the best single exposure, measured as the front is.
+
     Example: cep pareto --chips 52 --open 22:40 --time 60 -o front.json --plot front.png
     """
     with progress("searching") as tick:
@@ -120,6 +123,7 @@ def pareto(
         from cep.search.problem import Scenario, SearchProblem
         from cep.workflows.pareto import pareto as find_front
         from cep.workflows.search_options import open_limits
+        from motdiff.io.trajectories import stated_uncertainty_px
 
         picture = plot or output.with_suffix(".png")
         if picture.suffix.lower() not in _FIGURES:
@@ -127,9 +131,11 @@ def pareto(
         if picture == output:
             raise ValueError(f"--plot: must be another file than the output, got {picture}")
         stated = trajectory is not None or linear is not None
+        motion = load_motion(trajectory, linear) if stated else None
+        error_px = None if motion is None or trajectory is None else stated_uncertainty_px(motion, trajectory)
         problem = SearchProblem(
             chips=chips,
-            scenarios=(Scenario(load_motion(trajectory, linear).trajectory),) if stated else (),
+            scenarios=() if motion is None else (Scenario(motion.trajectory),),
             open_range=open_limits(chips, open_chips, duty),
             direction=direction,  # type: ignore[arg-type]
             runs=RunLimits(
@@ -144,7 +150,7 @@ def pareto(
         )
         inputs = [] if trajectory is None else [trajectory]
         found = find_front(
-            problem, steps=steps, time_s=time_s, seed=seed, progress=tick,
+            problem, steps=steps, time_s=time_s, seed=seed, path_error_px=error_px or 0.0, progress=tick,
             on_checked=lambda: claim([output, picture], force=force, inputs=inputs),
         )  # fmt: skip
         found.save(output, picture, source={"trajectory": trajectory, "linear_px": linear})
@@ -157,10 +163,16 @@ def _show(console: Console, found: FrontComparison, output: Path, picture: Path)
     from cep.optics.mtf import HOPELESS_DB
 
     front, named = found.front, found.knees
+    if found.verdict is None:
+        console.print("Whether to code at all depends on the motion and the camera: cep advise --linear PX says it.")
+    else:
+        console.print(found.verdict.sentence)
     ended = f"{front.seconds:.1f} s, {ending(front.stopped, front.steps)}"
     console.print(f"{output}, {picture}: {len(front.points)} codes that none found beats; {ended}")
     least = {"chips": "min |P|, chips", "light-true": "min MTF"}.get(front.unit, "min MTF, sampled")
-    published = {f"published: {name}": point for name, point in found.published.items()}
+    others = {f"published: {name}": point for name, point in found.published.items()}
+    if found.single is not None:
+        others = {"best single exposure": found.single, **others}
     rows = [
         (
             name,
@@ -169,7 +181,7 @@ def _show(console: Console, found: FrontComparison, output: Path, picture: Path)
             point.noise_db if point.noise_db <= HOPELESS_DB else f"> {HOPELESS_DB:.0f}",
             point.mse_db,
         )
-        for name, point in (*named.items(), *published.items())
+        for name, point in (*named.items(), *others.items())
     ]
     columns = ("code", "open", least, "noise gain, dB", "MSE, dB")
     console.print(table(f"{front.problem.chips} chips", columns, rows))

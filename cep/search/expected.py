@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,14 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 from cep.optics.band import BandSamples, band_samples, grid_samples, straight_axis
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import inverse_scene, noise_variance
+from cep.optics.mtf import inverse_scene, noise_variance, wiener_mse
 from cep.optics.response import ShutterResponse
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_rows
 from motdiff.motions import with_smooth_error
 from motdiff.trajectory import Trajectory
 
-__all__ = ["WORTH_DB", "collected_e", "equal_light_noise", "expected_psnr_db", "light_noise", "open_share"]
+__all__ = [
+    "WORTH_DB", "collected_e", "equal_light_noise", "expected_psnr_db", "joint_psnr_db", "light_noise", "open_share",
+]  # fmt: skip
 
 FloatArray = NDArray[np.float64]
 
@@ -96,22 +98,62 @@ def expected_psnr_db(
     """
     if not (np.isfinite(path_error_px) and path_error_px >= 0):
         raise ValueError(f"path_error_px: must be 0 px or more, got {path_error_px:g}")
-    if not problem.scenarios:
-        raise ValueError("scenarios: need a motion to expect a restoration along")
     chips = np.array([code.array for code in codes], dtype=np.float64)
     variances = np.atleast_2d(np.asarray(noise, dtype=np.float64)).T
     rng = np.random.default_rng(0) if rng is None else rng
-    errors_db = np.full((len(problem.scenarios), *variances.shape), -np.inf)
-    for index, scenario in enumerate(problem.scenarios):
-        for turned in problem.directions(scenario):
-            path = scenario.path(reversed_path=turned).thinned(_TOLERANCE_PX)
-            near = [path] if path_error_px == 0 else list(_near(path, path_error_px, rng))
-            error = _error(problem, replace(scenario, trajectory=path), near, chips, variances)
-            errors_db[index] = np.maximum(errors_db[index], 10 * np.log10(error))
+
+    def error_along(scenario: Scenario) -> FloatArray:
+        path = scenario.trajectory
+        near = [path] if path_error_px == 0 else list(_near(path, path_error_px, rng))
+        return _error(problem, scenario, near, chips, variances)
+
+    return _psnr_db(problem, error_along)
+
+
+def joint_psnr_db(problem: SearchProblem, codes: Sequence[ShutterCode], *, noise: ArrayLike) -> FloatArray:
+    """PSNR, dB, of the best linear restoration from several frames, one through each code, (L,).
+
+    The least mean square error is the mean over the band of ``1 / (1 / S + sum over frames of |H|^2 / N)``. M frames
+    through the same code are as good as one with an Mth of the noise.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        As of :func:`expected_psnr_db`.
+    codes : sequence of ShutterCode
+        Of each frame.
+    noise : (L, R) array_like
+        Variance through each code, for L cases.
+
+    Raises
+    ------
+    ValueError
+        If the problem has no motion.
+    """
+    chips = np.array([code.array for code in codes], dtype=np.float64)
+    variances = np.atleast_2d(np.asarray(noise, dtype=np.float64))
+
+    def error_along(scenario: Scenario) -> FloatArray:
+        samples = _samples(scenario.trajectory, exact=True)
+        power = np.abs(_otf(problem, scenario, samples, chips)) ** 2
+        return np.array([wiener_mse((power / variance[:, None]).sum(axis=0), samples, 1.0) for variance in variances])
+
+    return _psnr_db(problem, error_along)
+
+
+def _psnr_db(problem: SearchProblem, error_along: Callable[[Scenario], FloatArray]) -> FloatArray:
+    """PSNR from the mean square error along a scenario, over the problem's motions and their directions."""
+    if not problem.scenarios:
+        raise ValueError("scenarios: need a motion to expect a restoration along")
+    errors_db = []
+    for scenario in problem.scenarios:
+        ways = [scenario.path(reversed_path=turned) for turned in problem.directions(scenario)]
+        errors = [error_along(replace(scenario, trajectory=path.thinned(_TOLERANCE_PX))) for path in ways]
+        errors_db.append(10 * np.log10(np.max(errors, axis=0)))
     if problem.rule == "mean":
         weights = np.array([scenario.weight for scenario in problem.scenarios])
-        return -np.tensordot(weights / weights.sum(), errors_db, axes=1)
-    return -np.asarray(errors_db.max(axis=0), dtype=np.float64)
+        return -np.tensordot(weights / weights.sum(), np.array(errors_db), axes=1)
+    return -np.asarray(np.max(errors_db, axis=0), dtype=np.float64)
 
 
 def _error(
@@ -122,9 +164,7 @@ def _error(
     samples = _samples(path, exact=len(near) == 1)
     mean, power = np.zeros((len(chips), samples.fx.size), dtype=complex), np.zeros((len(chips), samples.fx.size))
     for one in near:
-        near_one = replace(scenario, trajectory=one)
-        rows = scenario_rows(near_one, problem.chips, samples.fx, samples.fy, response=problem.response)
-        otf = coded_sum(distinct_rows(rows, problem.response), chips)
+        otf = _otf(problem, replace(scenario, trajectory=one), samples, chips)
         if one is not path:
             shift = chips @ (_at_chips(one, problem.chips) - _at_chips(path, problem.chips))
             shift /= chips.sum(axis=1, keepdims=True)
@@ -143,6 +183,12 @@ def _error(
         )
         errors.append(error @ samples.weight)
     return np.stack(errors, axis=1)
+
+
+def _otf(problem: SearchProblem, scenario: Scenario, samples: BandSamples, chips: FloatArray) -> NDArray[np.complex128]:
+    """OTF of codes (R, n) at the samples, (R, frequencies)."""
+    rows = scenario_rows(scenario, problem.chips, samples.fx, samples.fy, response=problem.response)
+    return coded_sum(distinct_rows(rows, problem.response), chips)
 
 
 def _samples(path: Trajectory, *, exact: bool) -> BandSamples:

@@ -59,15 +59,21 @@ class Verdict:
     ways : tuple of Way
         The open shutter first, then every other that was tried; at least one is possible.
     code_name : str
-        Name of the best code in the sentence; empty where it is only a strobe that was tried beside a single opening.
+        Name in the sentence of the code that a single exposure is compared with; empty where no code of the user's is.
+    own : Way or None
+        That code, where it is the user's; else the best one is compared with.
     path_error_px : float
         Rms error that the path was taken to have.
+    frames : int
+        Photos of the motion that are restored together, each exposed in the same way but for a code.
     """
 
     camera: Camera
     ways: tuple[Way, ...]
     code_name: str = "the best code found"
+    own: Way | None = None
     path_error_px: float = 0.0
+    frames: int = 1
 
     @property
     def possible(self) -> tuple[Way, ...]:
@@ -134,7 +140,8 @@ class Verdict:
     @property
     def sentence(self) -> str:
         """What to do and what it gains, then under which conditions."""
-        way, code, snapshot = self.advised, self.best("code"), self.best("snapshot")
+        way, snapshot = self.advised, self.best("snapshot")
+        code = self.own or self.best("code")
         gains = [] if self.open_saturates else [_gain(way.psnr_db - self.ways[0].psnr_db, "the open shutter")]
         if way.kind == "open":
             said = f"Leave the shutter open: no shorter exposure and no code found gains {WORTH_DB:g} dB"
@@ -146,10 +153,14 @@ class Verdict:
             said += "" if self.code_name else "; no code that was tried is better"
         else:
             do = "Code this exposure" if way.kind == "code" else f"Pulse the shutter evenly, {_pulses(way.code)}"
+            if way.kind == "code" and self.own is not None and self.own is not way:
+                do += f" by {way.code.bits}"
             if snapshot is not None:
                 gains.append(
                     _gain(way.psnr_db - snapshot.psnr_db, f"the best single exposure, {_share(snapshot.code)}")
                 )
+            if self.own is not None and self.own is not way:
+                gains.append(_gain(way.psnr_db - self.own.psnr_db, self.code_name))
             said = do + _joined(": that ", gains)
         said += f". Gains are those expected of the restored photo, {self._conditions}."
         if code is None:
@@ -170,6 +181,8 @@ class Verdict:
         if self.path_error_px:
             noise.append(f"a path known to {self.path_error_px:.2g} px")
         light = f"at {camera.photons_full_scale:,.0f} photo-electrons at full scale"
+        if self.frames > 1:
+            light += f" in each of {self.frames} frames"
         return f"{', '.join([light, *noise[:-1]])} and {noise[-1]}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -308,16 +321,16 @@ def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 
     """
     check_light(problem)
     _check_codes(problem, codes)
-    ways = [*WayFinder(problem).ordinary(problem.camera, path_error_px=path_error_px), *codes]
-    name = "this code" if len(codes) == 1 else "the best of these codes"
+    ways = [*WayFinder(problem).ordinary(problem.camera, every_length=path_error_px > 0), *codes]
     found = judged_ways(problem, [problem.camera], ways, path_error_px=path_error_px)[0]
     best_possible(found)
-    judged = Verdict(problem.camera, found, name, path_error_px)
-    best = judged.best("code")
-    if best is None or best.code.bits in {code.bits for code in codes}:
+    judged = Verdict(problem.camera, found, "", path_error_px=path_error_px)
+    bits = {code.bits for code in codes}
+    own = [way for way in judged.possible if way.kind in CODED and way.code.bits in bits]
+    if not own:
         return judged
-    single = all(code.pulses == 1 for code in codes)  # and what codes there are is no code of the user's
-    return replace(judged, code_name="" if single else "the best even pulses")
+    name = "this code" if len(codes) == 1 else "the best of these codes"
+    return replace(judged, code_name=name, own=max(own, key=attrgetter("psnr_db")))
 
 
 def advise(
@@ -379,7 +392,7 @@ def advise(
     parts = len(cameras) + 1
     for done, camera in enumerate(cameras):
         progress(done / parts, f"{camera.photons_full_scale:,.0f} photo-electrons")
-        ordinary = finder.ordinary(camera, path_error_px=path_error_px if done == 0 else 0.0)
+        ordinary = finder.ordinary(camera, every_length=path_error_px > 0 and done == 0)
         pool += [*ordinary, *finder.codes(camera, [*ordinary, *pool], seed=seed, threads=threads)]
     progress(len(cameras) / parts, "judging")
     judged = judged_ways(problem, cameras, pool, path_error_px=path_error_px)

@@ -152,7 +152,7 @@ def _best_way(
 ) -> tuple[Way, str]:
     """Best possible way at the camera's light, and what ended the search of a code."""
     finder, camera = WayFinder(problem), problem.camera
-    ordinary = finder.ordinary(camera, path_error_px=path_error_px)
+    ordinary = finder.ordinary(camera, every_length=path_error_px > 0)
     searched = finder.search(camera, ordinary, seed=seed, time_s=time_s, threads=threads)
     codes, stopped = (ordinary, "") if searched is None else ([*ordinary, searched.code], searched.stopped)
     return best_possible(judged_ways(problem, [camera], codes, path_error_px=path_error_px)[0]), stopped

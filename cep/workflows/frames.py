@@ -17,11 +17,14 @@ from cep.proofs.measure import CodeMetrics
 from cep.search.annealing.anneal import Stopped
 from cep.search.annealing.frames import FramesResult, anneal_frames
 from cep.search.annealing.joint import joint_figures
+from cep.search.expected import equal_light_noise, joint_psnr_db, light_noise
 from cep.search.problem import SearchProblem
 from cep.search.recipe import mean_length_px, search_code
+from cep.workflows.advise import Verdict
 from cep.workflows.optimize import Search, certificate_warnings, ended_early, searched_problem
+from cep.workflows.ways import CODED, Way, WayFinder, best_possible, check_light, judged_ways
 
-__all__ = ["FramesOptimum", "Together", "optimize_frames", "write_frames"]
+__all__ = ["FramesOptimum", "Together", "frames_verdict", "optimize_frames", "write_frames"]
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,8 @@ class FramesOptimum:
         The best code for a single frame.
     repeated : Together
         Of that code played in every frame.
+    verdict : Verdict
+        Whether to use the codes, by the restoration from all frames that is expected with the problem's camera.
     """
 
     problem: SearchProblem
@@ -70,6 +75,7 @@ class FramesOptimum:
     joint: Together
     single: ShutterCode
     repeated: Together
+    verdict: Verdict
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -81,6 +87,9 @@ class FramesOptimum:
         """Fields for JSON, as ``cep optimize --frames --json`` prints them."""
         found = self.found
         return {
+            "verdict": self.verdict.sentence,
+            "choice": self.verdict.choice,
+            "gains_db": self.verdict.gains_db,
             "bits": [code.bits for code in found.codes],
             "frames": len(found.codes),
             "chips": self.problem.chips,
@@ -169,8 +178,44 @@ def optimize_frames(
 
     metrics = tuple(problem.measure(code) for code in found.codes)
     joint, repeated = together(found.codes), together([single] * frames)
+    judged = frames_verdict(problem, found.codes)
     progress(1.0, "")
-    return FramesOptimum(problem, how, found, metrics, joint, single, repeated)
+    return FramesOptimum(problem, how, found, metrics, joint, single, repeated, judged)
+
+
+def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verdict:
+    """Judge the codes of several frames beside one exposure repeated in every frame: open, single or pulsed evenly.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        Its path counts as known exactly.
+    codes : sequence of ShutterCode
+        Of each frame. Where they open once each, all of them alike, they count as that single exposure.
+
+    Raises
+    ------
+    ValueError
+        If the problem has no motion, or even the shortest opening saturates at its light.
+    """
+    check_light(problem)
+    frames, camera = len(codes), problem.camera
+    tried = WayFinder(problem).ordinary(camera, every_length=True)
+    alike, single = len({code.bits for code in codes}) == 1, all(code.pulses == 1 for code in codes)
+    ways = judged_ways(problem, [camera], [*tried, *(codes[:1] if alike else ())], path_error_px=0.0, frames=frames)[0]
+    own = ways[-1]
+    if not alike:
+        noise = [model(camera, codes, response=problem.response) for model in (light_noise, equal_light_noise)]
+        at_time, at_light = joint_psnr_db(problem, codes, noise=noise)
+        each = judged_ways(problem, [camera], codes, path_error_px=0.0)[0][1:]
+        own = Way(
+            "snapshot" if single else "code", codes[0], float(at_time), float(at_light),
+            all(way.within_limits for way in each), any(way.saturates for way in each),
+        )  # fmt: skip
+        ways = (*ways, own)
+    best_possible(ways)
+    coded = own.possible and own.kind in CODED
+    return Verdict(camera, ways, "these codes" if coded else "", own if coded else None, frames=frames)
 
 
 def _search(

@@ -20,7 +20,9 @@ from cep.plots.pareto import pareto_figure
 from cep.search.fronts.front import Front, FrontPoint, knees
 from cep.search.fronts.pareto import front_points, pareto_front
 from cep.search.problem import SearchProblem
+from cep.workflows.advise import Verdict, verdict
 from cep.workflows.optimize import Search
+from cep.workflows.ways import check_light
 
 __all__ = ["FrontComparison", "pareto"]
 
@@ -36,11 +38,18 @@ class FrontComparison:
     front : Front
     published : mapping from a name to FrontPoint
         Whether or not they keep the problem's limits.
+    verdict : Verdict or None
+        Whether to use one of the front's codes, by the restoration expected with the problem's camera; None without a
+        motion.
+    single : FrontPoint or None
+        The best single exposure within the limits, measured as the front is.
     """
 
     how: Search
     front: Front
     published: Mapping[str, FrontPoint]
+    verdict: Verdict | None = None
+    single: FrontPoint | None = None
 
     @property
     def knees(self) -> dict[str, FrontPoint]:
@@ -62,12 +71,16 @@ class FrontComparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep pareto --json`` prints them."""
-        front = self.front
+        front, judged = self.front, self.verdict
         return {
+            "verdict": None if judged is None else judged.sentence,
+            "choice": None if judged is None else judged.choice,
+            "gains_db": None if judged is None else judged.gains_db,
             "unit": front.unit,
             "points": _listed(front.points),
             "knees": _named(self.knees),
             "published": _named(self.published),
+            "single": None if self.single is None else _figures(self.single),
             "seconds": front.seconds,
             "steps": front.steps,
             "stopped": front.stopped,
@@ -118,6 +131,7 @@ def pareto(
     steps: int | None = None,
     time_s: float | None = None,
     seed: int = 0,
+    path_error_px: float = 0.0,
     progress: Callable[[float, str], None] | None = None,
     on_checked: Callable[[], None] = lambda: None,
 ) -> FrontComparison:
@@ -129,6 +143,8 @@ def pareto(
         Its objective does not matter.
     steps, time_s, seed
         As of :class:`cep.workflows.optimize.Search`, but without moves it goes on for the time.
+    path_error_px : float
+        Rms error of the path where it is an estimate: the verdict counts it, the search does not.
     progress : callable, optional
         Called with the finished share, 0..1, and a note.
     on_checked : callable, optional
@@ -144,13 +160,21 @@ def pareto(
     for scenario in problem.scenarios:
         check_frame(scenario.trajectory)
         check_resolved(scenario.trajectory, problem.chips)
+    if problem.scenarios:
+        check_light(problem)
     on_checked()
     front = pareto_front(problem, rng=np.random.default_rng(seed), steps=steps, time_s=how.limit_s, progress=progress)
     if not front.points:
         raise ValueError("open_range: every code found of so many open chips has a zero, allow others or search longer")
     entries = for_chips(problem.chips)
     points = front_points(problem, (entry.code for entry in entries))
-    return FrontComparison(how, front, dict(zip((entry.name for entry in entries), points, strict=True)))
+    published = dict(zip((entry.name for entry in entries), points, strict=True))
+    if not problem.scenarios:
+        return FrontComparison(how, front, published)
+    judged = verdict(problem, *(point.code for point in front.points), path_error_px=path_error_px)
+    single = judged.best("snapshot")
+    beside = [] if single is None else front_points(problem, [single.code])
+    return FrontComparison(how, front, published, judged, next(iter(beside), None))
 
 
 def _listed(points: Iterable[FrontPoint]) -> list[dict[str, Any]]:

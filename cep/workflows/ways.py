@@ -54,7 +54,7 @@ _LONG_COLUMNS = 1_024  # samples of a straight motion, some 250 px long, beyond 
 _LONG_OVERSAMPLING, _LONG_ACROSS = 4, 6
 _SWAPS_WORK = 5_000_000  # terms of all swaps of two chips, beyond which a code is polished by flips alone
 _MOVES = 100_000  # of a search at one light level; four times as many gain less than 0.05 dB
-_MOST_RUNS = 1_000  # single exposures that are all judged with an error of the path
+_MOST_RUNS = 1_000  # single exposures that are all judged where every length is asked for
 _LENGTHS, _STARTS = 24, 16  # else so many lengths and starts
 _ROUNDED = 1e-3  # relative: a camera's figures are stated to three digits
 
@@ -135,11 +135,11 @@ class WayFinder:
         self._judge = Objective(sought, oversampling=over, across=across, dtype=np.float64)
         self._swaps = not long or problem.chips**2 // 4 * self._judge.shares_across.size <= _SWAPS_WORK
 
-    def ordinary(self, camera: Camera, *, path_error_px: float = 0.0) -> list[ShutterCode]:
+    def ordinary(self, camera: Camera, *, every_length: bool = False) -> list[ShutterCode]:
         """Return single exposures and even pulses to judge: the best by the expected error that do not saturate.
 
-        Of all, and within the limits. Also those that may be the best with a brighter lamp, or for a path that is
-        not known exactly: the shortest exposures, and with an error of the path exposures of all lengths.
+        Of all, and within the limits. Also the shortest exposures, which may be the best with a brighter lamp; or
+        exposures of every length, where they are judged otherwise: for a path not known exactly, or several frames.
         """
         problem = replace(self._fast.problem, camera=camera)
         unlimited = replace(problem, open_range=None, runs=RunLimits())
@@ -153,11 +153,11 @@ class WayFinder:
                     break
         n = problem.chips
         shortest = max(problem.open_limits[0], 1)
-        lengths = np.arange(1, n) if path_error_px else np.unique([1, shortest])
+        lengths = np.arange(1, n) if every_length else np.unique([1, shortest])
         every = n * (n - 1) // 2 <= _MOST_RUNS
         for length in lengths if every else evenly_some(lengths, _LENGTHS):
             starts = np.arange(n - length + 1)
-            runs = starts if every and path_error_px else evenly_some(starts, _STARTS)
+            runs = starts if every and every_length else evenly_some(starts, _STARTS)
             found += [ShutterCode("0" * i + "1" * int(length) + "0" * (n - int(length) - i)) for i in map(int, runs)]
         return found
 
@@ -246,16 +246,21 @@ def check_light(problem: SearchProblem) -> None:
 
 
 def judged_ways(
-    problem: SearchProblem, cameras: Sequence[Camera], codes: Sequence[ShutterCode], *, path_error_px: float
+    problem: SearchProblem,
+    cameras: Sequence[Camera],
+    codes: Sequence[ShutterCode],
+    *,
+    path_error_px: float,
+    frames: int = 1,
 ) -> list[tuple[Way, ...]]:
-    """Judge every code at the light of every camera; the open shutter is added, and comes first."""
+    """Judge every code, used in so many frames, at the light of every camera; the open shutter is added, and first."""
     every = list(
         {
             code.bits: ShutterCode(code.bits, problem.chip_ns) for code in [ShutterCode("1" * problem.chips), *codes]
         }.values()
     )
     noise = [
-        model(camera, every, response=problem.response)
+        model(camera, every, response=problem.response) / frames
         for camera in cameras
         for model in (light_noise, equal_light_noise)
     ]

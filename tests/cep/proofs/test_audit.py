@@ -144,6 +144,16 @@ def test_the_command_tells_zeros_grids_and_no_verdict(cep):
     assert "hides the zero" in shown
 
 
+def test_the_command_says_along_a_motion_whether_the_code_is_the_exposure_to_take(cep):
+    asked = ("audit", "raskar-52", "--linear", "52", "--flips", "0", "--read-noise")
+    quiet, noisy = (cep.succeeds(*asked, noise) for noise in ("2", "100"))
+    assert (quiet["choice"], noisy["choice"]) == ("snapshot", "code")
+    assert cep(*asked, "2").out.startswith("Coding does not pay here: expose 1/52 of the time")
+    assert " dB over this code. " in quiet["verdict"]
+    assert noisy["gains_db"]["code"] > noisy["gains_db"]["snapshot"]
+    assert cep.succeeds("audit", "raskar-52", "--flips", "0")["verdict"] is None
+
+
 def test_the_command_checks_a_stored_certificate(cep, workplace):
     code = ShutterCode("110100")
     path = Trajectory.from_samples([[0, 0], [1.5, 0.3], [2.2, 1.2]])

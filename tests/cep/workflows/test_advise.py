@@ -1,6 +1,7 @@
 """The verdict: never a code while something simpler is better, and the published limit of what a code can gain."""
 
 import re
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,9 @@ from cep.search.expected import WORTH_DB, expected_psnr_db, light_noise
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from cep.workflows.advise import advise, verdict
+from cep.workflows.frames import frames_verdict, optimize_frames
+from cep.workflows.optimize import Search
+from cep.workflows.pareto import pareto
 from hw.device import DeviceProfile
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
@@ -32,10 +36,8 @@ def along(path=STRAIGHT, chips=24, **options):
 # -- what is advised ------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=200, deadline=None)  # as many as were asked for
-@given(seed=st.integers(0, 10**6))
-def test_no_code_is_advised_while_a_shorter_exposure_within_the_limits_is_better(seed):
-    """Brute force over all single exposures, on random motions, cameras, limits and codes."""
+def random_problem(seed):
+    """Draw a motion, a camera and limits, with random codes within them."""
     rng = np.random.default_rng(seed)
     chips = int(rng.integers(5, 10))
     path = (
@@ -46,26 +48,66 @@ def test_no_code_is_advised_while_a_shorter_exposure_within_the_limits_is_better
     low = int(rng.integers(1, 4))
     camera = Camera(photons_full_scale=10 ** rng.uniform(2, 5), read_noise_e=10 ** rng.uniform(0, 2.3))
     problem = along(
-        path, chips, camera=camera, open_range=(low, int(rng.integers(low, chips + 1))),
+        path, chips, camera=camera, objective="mse", open_range=(low, int(rng.integers(low, chips + 1))),
         runs=RunLimits(min_open=int(rng.integers(1, low + 1))),
     )  # fmt: skip
-    codes = [ShutterCode.from_array(code) for code in problem.random_codes(4, rng=rng)]
-    found = verdict(problem, *codes)
+    return problem, [ShutterCode.from_array(code) for code in problem.random_codes(4, rng=rng)]
+
+
+def best_single_db(problem, frames=1):
+    """Brute force over all single exposures within the limits, in so many frames; -inf where there is none."""
+    n = problem.chips
     runs = [
-        ShutterCode("0" * first + "1" * (end - first) + "0" * (chips - end))
-        for first in range(chips) for end in range(first + 1, chips + 1)
+        ShutterCode("0" * first + "1" * (end - first) + "0" * (n - end))
+        for first in range(n) for end in range(first + 1, n + 1)
     ]  # fmt: skip
     kept = [run for run in runs if problem.allows(run)]
+    if not kept:
+        return -np.inf
+    return expected_psnr_db(problem, kept, noise=[light_noise(problem.camera, kept) / frames]).max()
+
+
+def check_that_no_single_exposure_is_better(problem, found, frames=1):
     advised = found.advised
     assert advised.within_limits
-    assert problem.allows(advised.code)
-    if kept and advised.kind in ("code", "strobe"):
-        best = expected_psnr_db(problem, kept, noise=[light_noise(camera, kept)]).max()
-        assert advised.psnr_db >= best - 1e-6
+    if advised.kind in ("code", "strobe"):
+        assert advised.psnr_db >= best_single_db(problem, frames) - 1e-6
         assert found.sentence.startswith(("Code", "Pulse"))
     if advised.kind == "snapshot":
         assert max(found.gains_db[kind] for kind in found.gains_db) < found.gains_db["snapshot"] + WORTH_DB
         assert found.sentence.startswith("Coding does not pay here: expose")
+
+
+@pytest.mark.slow(reason="two hundred random problems")
+@settings(max_examples=200, deadline=None)  # as many as were asked for
+@given(seed=st.integers(0, 10**6))
+def test_no_code_is_advised_while_a_single_exposure_within_the_limits_is_better(seed):
+    """On random motions, cameras, limits and codes, for one frame and for two; every output's advice is made so."""
+    problem, codes = random_problem(seed)
+    found = verdict(problem, *codes)
+    check_that_no_single_exposure_is_better(problem, found)
+    assert problem.allows(found.advised.code)
+    if seed % 4 == 0:
+        check_that_no_single_exposure_is_better(problem, frames_verdict(problem, codes[:2]), frames=2)
+
+
+@pytest.mark.slow(reason="four searches of each problem")
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_nor_by_what_a_search_reports(seed):
+    """The searches themselves: of one code by any objective, of a front, of frames, and over the light."""
+    problem, _ = random_problem(seed)
+    objective = ("mse", "noise", "flatness")[seed % 3]
+    with suppress(ValueError):  # a path too short for its chips, or a front whose codes all have a zero
+        found = [
+            cep.optimize(replace(problem, objective=objective), steps=50, seed=seed).verdict,
+            advise(problem, levels=[]).here,
+            pareto(problem, steps=50).verdict,
+        ]
+        for one in found:
+            check_that_no_single_exposure_is_better(problem, one)
+        pair = optimize_frames(replace(problem, objective=objective), Search(steps=50), 2).verdict
+        check_that_no_single_exposure_is_better(problem, pair, frames=2)
 
 
 def test_the_kinds_of_a_verdict():
@@ -83,13 +125,15 @@ def test_the_sentence_names_what_was_judged():
     assert single.choice == coded.choice == "snapshot"
     assert "; no code that was tried is better. " in single.sentence
     assert " dB over " not in single.sentence.partition("over the open shutter")[2]
-    assert re.search(r"and [\d.]+ dB over (this code|the best even pulses)\. ", coded.sentence)
+    gain = coded.advised.psnr_db - next(way.psnr_db for way in coded.ways if way.code.bits == "110100101011" * 2)
+    assert f" and {gain:.1f} dB over this code. " in coded.sentence
 
 
 def test_the_sentence_says_under_which_conditions():
     found = verdict(along(camera=NOISY))
     assert found.sentence.endswith("at 10,000 photo-electrons at full scale and 50 e- of read noise.")
-    known = verdict(along(camera=replace(NOISY, dark_current_e_s=20.0)), path_error_px=0.25)
+    warm = along(Trajectory.straight(8.0), 6, camera=replace(NOISY, dark_current_e_s=20.0))
+    known = verdict(warm, path_error_px=0.25)
     assert known.sentence.endswith("50 e- of read noise, 20 e-/s of dark current and a path known to 0.25 px.")
 
 

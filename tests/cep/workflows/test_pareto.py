@@ -5,6 +5,7 @@ import json
 import pytest
 
 from cep.codes.published import for_chips
+from cep.optics.camera import Camera
 from cep.search.problem import SearchProblem
 from cep.workflows.pareto import pareto
 from motdiff.trajectory import Trajectory
@@ -44,3 +45,13 @@ def test_inputs_are_checked_before_outputs_and_outputs_before_the_search(monkeyp
 def test_a_front_without_codes_names_their_light():
     with pytest.raises(ValueError, match=r"^open_range: every code found"):
         pareto(SearchProblem(chips=4, open_range=(4, 4)), steps=0)
+
+
+def test_along_a_motion_the_front_is_judged_beside_the_best_single_exposure():
+    quiet = SearchProblem.along(Trajectory.straight(16.0), chips=16, camera=Camera(read_noise_e=2))
+    found = pareto(quiet, steps=300)
+    assert found.verdict.choice == "snapshot"
+    assert found.single.code == found.verdict.best("snapshot").code
+    assert found.single.mse_db < min(point.mse_db for point in found.front.points)
+    assert found.to_dict()["verdict"].startswith("Coding does not pay here")
+    assert pareto(SearchProblem(chips=13, open_range=(6, 10)), steps=100).to_dict()["verdict"] is None
