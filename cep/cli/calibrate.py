@@ -223,12 +223,12 @@ def calibrate(
         found, files, seconds=seconds, warnings=[*(line for one in photos for line in one.warnings), *found.warnings]
     )
     sure = f"direction {motion.direction}; confidence {found.confidence:.2f}"
-    if codes is not None:
+    still = found.details.get("motion_blur", True) is False
+    if codes is not None and not still:
         sure = (
             f"in this order in time with probability {found.confidence:.2f}, and then exact to "
             f"{result['path_uncertainty_px']:.2g} px"
         )
-    still = found.details.get("motion_blur", True) is False
     first = f"{found.warnings[0]}.\n" if still else _repeatability(motion.length_px, found.details)
     finish(result, as_json=as_json, show=lambda console: console.print(
         f"{first}{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, {sure}; "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +26,7 @@ _TWO_VAGUE, _TWO_ALONE = 0.3, 0.2  # two photos whose path is known less exactly
 _VAGUE_PX = 0.25
 _KERNELS_ALONE = 0.3  # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
 _ALMOST_EQUAL = 1e-3
+_LEAST_EXTENTS = 5.0  # of a path, in units of its expected error
 
 
 class CodedEstimator:
@@ -84,7 +86,8 @@ class CodedEstimator:
 
         Returns
         -------
-        MotionEstimate with ``direction`` known; other explanations follow with their weights.
+        MotionEstimate with ``direction`` known; other explanations follow with their weights. Where the photos show no
+        motion blur, a path of 0 px, with ``motion_blur`` False in its ``details`` and a warning.
 
         Raises
         ------
@@ -95,11 +98,21 @@ class CodedEstimator:
             progress = Progress(self._tell)
             progress.expect(1.0)
             exposures = exposures_of(photos, self._codes, kernels=self._kernels, progress=progress, cost=_KERNEL_SHARE)
+            if exposures.still is not None:
+                progress.finish()
+                return _at_rest(exposures.still, photos=len(photos))
             rng = np.random.default_rng(self._seed)
             paths, times = find_paths(exposures, rng=rng, progress=progress, cost=_FIT_SHARE)
             estimate = _described(paths, times, exposures)
             progress.finish()
             return estimate
+
+
+def _at_rest(still: MotionEstimate, *, photos: int) -> MotionEstimate:
+    """Estimate of photos without motion blur: no path, of which no order or error could be stated."""
+    details = {**still.details, "order_confidence": None, "path_uncertainty_px": None}
+    warnings = still.warnings if photos == 1 else ("The photos show no motion blur",)
+    return replace(still, method=CodedEstimator.method, warnings=warnings, psf_warnings=warnings, details=details)
 
 
 def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> MotionEstimate:
@@ -109,12 +122,22 @@ def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> 
     if photos > 1 and not together:
         why = "are too small beside their blur" if exposures.photos else "show different scenes"
         warnings.append(f"the photos {why}: the path is fitted to their kernels alone, and less exact")
+    probability = _order_probability(best, photos if together else max(1, photos - 1), times=times)
+    deviation_px = _ERROR_RATIO * exposures.shrunk * best.deviation_px
+    error_px = float(np.sqrt((deviation_px**2).mean()))
+    extent_px = exposures.shrunk * float(np.hypot(*np.ptp(best.path, axis=0)))
+    if extent_px < _LEAST_EXTENTS * error_px:
+        probability = min(probability, _KERNELS_ALONE)
+        warnings.append(
+            f"the path found is {extent_px:.1f} px wide and its expected error {error_px:.1f} px: the camera may not "
+            "have moved"
+        )
     return motion_of_paths(
         "coded",
         paths,
-        probability=_order_probability(best, photos if together else max(1, photos - 1), times=times),
+        probability=probability,
         shares=[1 / max(other.cost / best.cost - 1, _ALMOST_EQUAL) for other in paths[1:]],
-        deviation_px=_ERROR_RATIO * exposures.shrunk * best.deviation_px,
+        deviation_px=deviation_px,
         scale=exposures.shrunk,
         warnings=warnings,
         details={

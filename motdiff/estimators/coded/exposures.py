@@ -49,6 +49,8 @@ class Exposures:
         By how much the photos were made smaller: a path of theirs is that much shorter.
     confidences : tuple of I float
         Of the kernels.
+    still : MotionEstimate or None
+        That of a photo without motion blur, where all photos are such, or one that saw the whole motion.
     """
 
     codes: tuple[str, ...]
@@ -58,6 +60,7 @@ class Exposures:
     photos: tuple[FloatArray, ...] = ()
     shrunk: int = 1
     confidences: tuple[float, ...] = ()
+    still: MotionEstimate | None = None
 
     def spectra(self) -> list[SceneSpectra]:
         """Spectra of the photos on three grids, coarse to fine; none where the scene is not shared or too small."""
@@ -124,7 +127,15 @@ def exposures_of(
         photos=tuple(greys[i] for i in order) if _are_one_scene(greys) else (),
         shrunk=shrunk,
         confidences=tuple(found[i].confidence for i in order),
+        still=_still(found, codes),
     )
+
+
+def _still(found: Sequence[MotionEstimate], codes: Sequence[str]) -> MotionEstimate | None:
+    """Return the estimate of a camera at rest where the photos that saw the whole exposure, else all, are sharp."""
+    whole = [one for one, code in zip(found, codes, strict=True) if "0" not in code]
+    seen = whole or found
+    return seen[0] if all(one.details.get("motion_blur") is False for one in seen) else None
 
 
 def _kernels_of(

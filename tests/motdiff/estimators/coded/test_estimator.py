@@ -141,6 +141,31 @@ def test_kernels_of_different_scenes_tell_the_order(shots, gray_codes) -> None:
     assert found.details["misfit"] is None
 
 
+class AtRest:
+    """Finds no motion blur in any photo."""
+
+    def estimate(self, photo: np.ndarray) -> MotionEstimate:
+        path = Trajectory.from_samples([[0.0, 0.0], [0.0, 0.0]])
+        return MotionEstimate("pmp", (path,), (1.0,), path.psf(64), 0.9, ("sharp",), {"motion_blur": False})
+
+
+def test_photos_without_motion_blur_have_no_path(shots) -> None:
+    taken = shots(loop_path(), (OPEN, FIRST_HALF), side_px=144)
+    found = CodedEstimator(taken.codes, kernels=AtRest()).estimate_from(taken.photos)
+    assert found.best.length_px == 0
+    assert found.details["motion_blur"] is False
+    assert found.path_error_px is None
+    assert found.warnings == ("The photos show no motion blur",)
+
+
+@SLOW
+def test_a_path_lost_in_its_error_is_doubted(shots) -> None:
+    taken = shots(Trajectory.straight(0.05), (OPEN, FIRST_HALF), side_px=144)
+    found = estimate(taken)
+    assert found.confidence <= 0.3
+    assert any("may not have moved" in warning for warning in found.warnings)
+
+
 @SLOW
 def test_the_seed_alone_decides(shots) -> None:
     # one photo, whose kernel leaves many paths: the quickest search
