@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -103,7 +104,7 @@ def deblur(
         from cep.io.files import read_psf
         from cep.optics.path_limits import check_resolved
         from cep.restoration import find_method, restore
-        from cep.workflows.calibrate import check_photo, check_texture
+        from cep.workflows.calibrate import check_photo, check_texture, estimate_motion
 
         alone = method == "auto" and all(
             one is None for one in (trajectory, psf, code, camera, photons, read_noise)
@@ -137,10 +138,14 @@ def deblur(
         if alone:
             from cep.workflows.sharpen import sharpen
 
-            sharpened = sharpen(photo.pixels, seed=seed, progress=part(tick, 0.05, 0.95))
+            started = time.perf_counter()
+            estimate = estimate_motion(photo.pixels, seed=seed, progress=part(tick, 0.05, 0.75))
+            tick(0.75, "restoring")
+            sharpened = sharpen(photo.pixels, estimate)
             write_image(target, sharpened.image, bits=photo.bits, gamma=gamma)
             tick(1.0)
-            _finish_alone(sharpened, target, seed=seed, warnings=photo.warnings, as_json=as_json)
+            seconds = time.perf_counter() - started
+            _finish_alone(sharpened, target, seconds=seconds, seed=seed, warnings=photo.warnings, as_json=as_json)
             return
         restored = restore(
             photo.pixels, kernel, trajectory=motion, code=shutter, method=method, progress=part(tick, 0.05, 0.98),
@@ -177,7 +182,9 @@ def deblur(
     ))  # fmt: skip
 
 
-def _finish_alone(sharpened: Sharpened, target: Path, *, seed: int, warnings: Sequence[str], as_json: bool) -> None:
+def _finish_alone(
+    sharpened: Sharpened, target: Path, *, seconds: float, seed: int, warnings: Sequence[str], as_json: bool
+) -> None:
     """Report a photo that was restored with what was found in it."""
     result = {
         "image": target,
@@ -191,7 +198,7 @@ def _finish_alone(sharpened: Sharpened, target: Path, *, seed: int, warnings: Se
         "direction_likelihoods": None,
         "residual": sharpened.residual,
         "unreliable_px": sharpened.unreliable_px,
-        "seconds": sharpened.seconds,
+        "seconds": seconds,
         "seed": seed,
         "warnings": [*warnings, *sharpened.warnings],
     }

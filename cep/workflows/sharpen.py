@@ -1,9 +1,7 @@
-"""The user's own photo, sharpened: its motion estimated, and the photo restored with what suits it, or kept."""
+"""The user's own photo, sharpened: restored with what suits it of the motion found in it, or kept as it was."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +21,6 @@ FloatArray = NDArray[np.float64]
 _LEAST_CONFIDENCE = 0.3
 _PRIOR_DB = {"psf": 0.6, "trajectory": 0.0}
 """Mean advantage of the PSF found over that of the path traced through it: docs/decisions/restoration.md."""
-_SEARCH_SHARE = 0.75  # of the time
 
 
 @dataclass(frozen=True)
@@ -51,7 +48,6 @@ class Sharpened:
     saturated_fraction : float
         Share of the photo's pixels that are clipped.
     warnings : tuple of str
-    seconds : float
     """
 
     image: FloatArray
@@ -65,7 +61,6 @@ class Sharpened:
     unreliable_px: int
     saturated_fraction: float
     warnings: tuple[str, ...]
-    seconds: float
 
     @property
     def psf_confidence(self) -> float:
@@ -73,51 +68,27 @@ class Sharpened:
         return _psf_confidence(self.estimate)
 
 
-def sharpen(
-    photo: ArrayLike,
-    estimate: MotionEstimate | None = None,
-    *,
-    seed: int = 0,
-    progress: Callable[[float, str], None] = lambda _share, _what: None,
-) -> Sharpened:
+def sharpen(photo: ArrayLike, estimate: MotionEstimate) -> Sharpened:
     """Restore a photo taken with an open shutter from the photo alone, or keep it where that would not help.
 
     Parameters
     ----------
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1
-    estimate : MotionEstimate, optional
-        Of its motion; found by :func:`cep.workflows.calibrate.estimate_motion` when omitted.
-    seed : int
-        Of that search.
-    progress : callable, optional
-        Called with the finished share 0..1 and what is being done.
-
-    Raises
-    ------
-    ValueError
-        If the photo is malformed, too small or without texture.
+    estimate : MotionEstimate
+        Of its motion, as of :func:`cep.workflows.calibrate.estimate_motion`.
     """
-    started = time.perf_counter()
     pixels = np.asarray(photo)
-    if estimate is None:
-        from cep.workflows.calibrate import estimate_motion  # which writes sharpened photos
-
-        estimate = estimate_motion(
-            pixels, seed=seed, progress=lambda share, what: progress(_SEARCH_SHARE * share, what)
-        )
     clipped = float(clipped_mask(pixels).mean())
     notes = []
 
     def kept(summary: str) -> Sharpened:
-        progress(1.0, "restoring")
         point = np.zeros((PSF_PX, PSF_PX))
         point[PSF_PX // 2, PSF_PX // 2] = 1
         return Sharpened(
             np.asarray(pixels, dtype=np.float64), summary, True, None, None, point, estimate, 0.0, 0, clipped,
-            estimate.psf_warnings, time.perf_counter() - started,
+            estimate.psf_warnings,
         )  # fmt: skip
 
-    progress(_SEARCH_SHARE, "restoring")
     if not estimate.details.get("motion_blur", True):
         return kept(f"{estimate.warnings[0]}: the photo is kept as it is")
     if _psf_confidence(estimate) < _LEAST_CONFIDENCE:
@@ -142,11 +113,10 @@ def sharpen(
         notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: their light was inferred from the other pixels")
     reach = trimmed_psf(psf).shape[0] // 2
     found = "the blur kernel found in it" if choice.name == "psf" else "the path found in it"
-    progress(1.0, "restoring")
     return Sharpened(
         image, f"The photo was restored with {found} (confidence {_psf_confidence(estimate):.2f}), by {method}", False,
         choice.name, method, np.asarray(psf, dtype=np.float64), estimate, misfit(pixels, image, psf), reach, clipped,
-        (*estimate.psf_warnings, *notes), time.perf_counter() - started,
+        (*estimate.psf_warnings, *notes),
     )  # fmt: skip
 
 
