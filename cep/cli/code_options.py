@@ -48,19 +48,12 @@ def exposure_seconds(text: str | None) -> float | None:
     """
     if text is None:
         return None
-    number, size = text.strip(), 1.0
-    for unit, factor in (("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3), ("s", 1.0)):
-        if number.endswith(unit):
-            number, size = number.removesuffix(unit), factor
-            break
-    over, slash, under = number.partition("/")
+    from cep.io.formatting import seconds_of
+
     try:
-        value = float(over) / (float(under) if slash else 1.0) * size
-    except (ValueError, ZeroDivisionError):
-        value = float("nan")
-    if not 0 < value < float("inf"):
-        raise ValueError(f"--exposure: must be a time above 0 as 1/30, 0.02, 20ms or 500us, got {text!r}")
-    return value
+        return seconds_of(text)
+    except ValueError as error:
+        raise ValueError(f"--{error}") from None
 
 
 Each = Annotated[

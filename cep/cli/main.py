@@ -24,6 +24,7 @@ from cep.cli import (
     pareto,
     refine,
     simulate,
+    studio,
 )
 from cep.cli.commands import Command, Group
 from cep.cli.console import FAILURE, INTERRUPTED, complain, explain, warn
@@ -83,6 +84,7 @@ app.command("upload")(hardware.upload)
 app.add_typer(camera.camera, name="camera", cls=Group)
 app.add_typer(controller.hw, name="hw", cls=Group)
 app.add_typer(bench.bench, name="bench", cls=Group)
+app.command("studio")(studio.studio)
 app.command("demo")(demo.demo)
 for _group in (app, camera.camera, controller.hw, bench.bench):
     for _command in _group.registered_commands:

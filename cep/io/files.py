@@ -29,6 +29,7 @@ __all__ = [
     "FRONT_SCHEMA",
     "PSF_SUFFIXES",
     "StoredCode",
+    "code_document",
     "json_text",
     "plain",
     "read_code",
@@ -68,7 +69,12 @@ class StoredCode:
 
 def write_code(path: Path | str, stored: StoredCode) -> None:
     """Write ``stored`` as JSON (schema ``cep.code/1``), whole or not at all."""
-    document = {
+    write_text(path, json_text(code_document(stored)))
+
+
+def code_document(stored: StoredCode) -> dict[str, Any]:
+    """Return the content of a code file."""
+    return {
         "schema": CODE_SCHEMA,
         "bits": stored.code.bits,
         "chip_ns": stored.code.chip_ns,
@@ -76,7 +82,6 @@ def write_code(path: Path | str, stored: StoredCode) -> None:
         "problem": stored.problem,
         "certificate": stored.certificate,
     }
-    write_text(path, json_text(document))
 
 
 def read_code(path: Path | str) -> StoredCode:

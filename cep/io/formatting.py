@@ -1,8 +1,8 @@
-"""Formatting of numbers in text for people; JSON and files keep full precision."""
+"""Numbers and times in text for people, and times as people write them; JSON and files keep full precision."""
 
 from __future__ import annotations
 
-__all__ = ["duration", "number"]
+__all__ = ["duration", "number", "seconds_of"]
 
 _ROUNDING = 1e-12  # of figures around 1, in dB or px: smaller values are rounding errors of a zero
 
@@ -30,3 +30,31 @@ def duration(seconds: float, *, digits: int = 3) -> str:
         if seconds >= size:
             return f"{seconds / size:.{digits}g} {unit}"
     return f"{seconds * 1e9:.{digits}g} ns"
+
+
+def seconds_of(text: str) -> float:
+    """Read a time: seconds, a fraction of one, or a number with its unit.
+
+    Raises
+    ------
+    ValueError
+        If it is none of these, or not above 0.
+
+    Examples
+    --------
+    >>> seconds_of("1/50"), seconds_of("20ms"), seconds_of("0.5")
+    (0.02, 0.02, 0.5)
+    """
+    figure, size = text.strip(), 1.0
+    for unit, factor in (("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3), ("s", 1.0)):
+        if figure.endswith(unit):
+            figure, size = figure.removesuffix(unit), factor
+            break
+    over, slash, under = figure.partition("/")
+    try:
+        value = float(over) / (float(under) if slash else 1.0) * size
+    except (ValueError, ZeroDivisionError):
+        value = float("nan")
+    if not 0 < value < float("inf"):
+        raise ValueError(f"exposure: must be a time above 0 as 1/30, 0.02, 20ms or 500us, got {text!r}")
+    return value

@@ -40,6 +40,7 @@ __all__ = [
     "Way",
     "advise",
     "verdict",
+    "verdict_of",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -320,8 +321,21 @@ def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 
         of chips.
     """
     check_light(problem)
+    _check_codes(problem, codes)  # before the work
+    ordinary = WayFinder(problem).ordinary(problem.camera, every_length=path_error_px > 0)
+    return verdict_of(problem, ordinary, codes, path_error_px=path_error_px)
+
+
+def verdict_of(
+    problem: SearchProblem,
+    ordinary: Sequence[ShutterCode],
+    codes: Sequence[ShutterCode],
+    *,
+    path_error_px: float = 0.0,
+) -> Verdict:
+    """Judge codes beside single exposures and even pulses that have been found already; see :func:`verdict`."""
     _check_codes(problem, codes)
-    ways = [*WayFinder(problem).ordinary(problem.camera, every_length=path_error_px > 0), *codes]
+    ways = [*ordinary, *codes]
     found = judged_ways(problem, [problem.camera], ways, path_error_px=path_error_px)[0]
     best_possible(found)
     judged = Verdict(problem.camera, found, "", path_error_px=path_error_px)

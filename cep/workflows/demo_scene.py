@@ -22,7 +22,7 @@ from motdiff.motions import quadratic
 from motdiff.simulate import to_linear
 from motdiff.trajectory import Trajectory
 
-__all__ = ["FoundMotion", "Scene", "bundled_scene", "find_motion", "own_photo"]
+__all__ = ["FoundMotion", "Scene", "bundled_picture", "bundled_scene", "find_motion", "own_photo"]
 
 FloatArray = NDArray[np.float64]
 
@@ -79,6 +79,13 @@ class FoundMotion:
     alone: MotionEstimate | None = None
 
 
+def bundled_picture() -> FloatArray:
+    """Return the public-domain picture that scikit-image carries, (512, 512, 3) linear light 0..1."""
+    from skimage import data
+
+    return to_linear(data.astronaut() / 255)
+
+
 def bundled_scene(camera: Camera, *, rng: np.random.Generator, side_px: int | None = None) -> Scene:
     """Take a photo of a public-domain picture that scikit-image carries, with a shaking hand.
 
@@ -89,9 +96,7 @@ def bundled_scene(camera: Camera, *, rng: np.random.Generator, side_px: int | No
     side_px : int, optional
         Side of the part around the middle of the picture; all of it when omitted.
     """
-    from skimage import data
-
-    sharp = to_linear(data.astronaut() / 255)
+    sharp = bundled_picture()
     if side_px is not None:
         corner = (len(sharp) - side_px) // 2
         sharp = sharp[corner : corner + side_px, corner : corner + side_px]

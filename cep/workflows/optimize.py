@@ -251,6 +251,7 @@ def optimize(
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
     on_found: Callable[[ShutterCode, Found], None] = lambda _code, _found: None,
+    on_best: Callable[[ShutterCode], None] = lambda _code: None,
 ) -> Optimum:
     """Search the code that is best along a problem's motions, certify it, and compare it with what is used instead.
 
@@ -281,6 +282,8 @@ def optimize(
         Called with the finished share, 0..1, and a note.
     on_found : callable, optional
         Called with the code before it is compared and certified, which may take seconds.
+    on_best : callable, optional
+        Called with the best code so far while the search goes on, as often as ``progress``.
 
     Raises
     ------
@@ -303,13 +306,18 @@ def optimize(
     check_resolved(motion, problem.chips)
     designed = as_designed(motion, problem.direction)
     own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))  # one that fails does so before the search
+
+    def tell(share: float, best: ShutterCode) -> None:
+        on_best(best)
+        progress(_SEARCH_SHARE * share, f"{best.open_chips} open")
+
     found = search(
         searched_problem(problem),
         replace(how, time_s=_NO_TIME_S) if interrupted else how,
         start=start,
         length_px=mean_length_px(problem),
         threads=threads,
-        progress=lambda share, best: progress(_SEARCH_SHARE * share, f"{best.open_chips} open"),
+        progress=tell,
     )
     found = replace(found, stopped="interrupted") if interrupted else found
     code = replace(found.code, chip_ns=problem.chip_ns)

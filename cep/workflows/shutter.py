@@ -1,8 +1,9 @@
-"""A shutter controller that plays codes: opened by its port, whatever its driver."""
+"""A code on its way to the shutter: as a file, into a controller by its port, or played on an emulated one."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import time
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self
 
@@ -11,9 +12,12 @@ from hw.device import DeviceProfile, load_profile
 from hw.drivers.cxp import Controller
 from hw.drivers.report import UploadReport
 from hw.drivers.write_only import WriteOnlyDevice
+from hw.export import export_program, file_name
 from hw.program import Program
 
-__all__ = ["DRIVERS", "Shutter", "open_shutter"]
+__all__ = ["DRIVERS", "EmulatedPlay", "Shutter", "export_code", "open_shutter", "play_emulated", "shutter_profile"]
+
+_LAST_EDGE_S = 2.0  # an emulated clock may lag behind
 
 DRIVERS = ("cxp", "pulse-pal", "scpi")
 """Names of the drivers: our firmware, a Pulse Pal, a waveform generator with SCPI."""
@@ -132,3 +136,72 @@ def open_shutter(port: str, *, driver: str = "cxp") -> Shutter:
     from hw.drivers.scpi import ScpiAwg
 
     return Shutter(ScpiAwg.open(port))
+
+
+def export_code(code: ShutterCode, file_format: str, *, device: DeviceProfile | str | None = None) -> tuple[str, str]:
+    """Write a code as a timed program, read back to prove its edges: the name of the file, and its text.
+
+    Raises
+    ------
+    ValueError
+        If the format is not known or cannot represent the code, or the device cannot play it.
+
+    Examples
+    --------
+    >>> name, text = export_code(ShutterCode("101", 1000), "csv")
+    >>> name, text.splitlines()[-1]
+    ('code.csv', '3.000,0')
+    """
+    profile = load_profile(device) if isinstance(device, str) else device
+    program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
+    if profile is not None and (problems := profile.check(program)):
+        raise ValueError("device: the code cannot be played: " + "; ".join(problems))
+    return file_name("code", file_format), export_program(program, file_format, device=profile)
+
+
+def shutter_profile(name: str) -> DeviceProfile:
+    """Return the limits of a shutter by its name; errors are those of :func:`hw.device.load_profile`."""
+    return load_profile(name)
+
+
+@dataclass(frozen=True)
+class EmulatedPlay:
+    """A code as an emulated controller played it.
+
+    Attributes
+    ----------
+    report : UploadReport
+    edges_ns : tuple of (int, int)
+        Time after the first opening, ns, and the level of its shutter output from then on.
+    """
+
+    report: UploadReport
+    edges_ns: tuple[tuple[int, int], ...]
+
+
+def play_emulated(code: ShutterCode, *, profile: DeviceProfile | str | None = None) -> EmulatedPlay:
+    """Load a code into an emulated Uno with the shipped firmware, read it back, and play it once.
+
+    Raises
+    ------
+    ValueError
+        If the emulator cannot run here, or the board cannot play the code; the line says why.
+    """
+    from hw.emulation.build import EmulationError
+    from hw.emulation.uno import CLOCK_HZ, EmulatedUno
+
+    uno = EmulatedUno()
+    try:
+        uno.start()
+    except EmulationError as error:
+        raise ValueError(str(error)) from None  # what is missing can be installed
+    try:
+        with open_shutter(uno.port) as shutter:
+            report = shutter.upload(code, profile=profile, play=True)
+        ends = time.monotonic() + _LAST_EDGE_S
+        while len(edges := uno.edges()) < 2 * code.pulses and time.monotonic() < ends:
+            time.sleep(0.01)
+    finally:
+        uno.stop()
+    first = edges[0][0] if edges else 0
+    return EmulatedPlay(report, tuple((round((cycle - first) * 1e9 / CLOCK_HZ), level) for cycle, level in edges))

@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 import typer
+from emulators.tools import give_up
 
 from cep.cli.main import main
 from cep.io.files import StoredCode, write_code
@@ -96,3 +97,19 @@ def workplace(small_inputs, tmp_path, monkeypatch):
     shutil.copytree(small_inputs, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A headless Chromium; without one the test is skipped, or fails where all tools were promised."""
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        give_up("playwright is not installed: see .ci/tools")
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if chromium is None:
+        give_up("no Chromium is installed: see .ci/tools")
+    with sync_playwright() as play:
+        started = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        yield started
+        started.close()

@@ -1,10 +1,7 @@
 """The report in a headless Chromium: nothing asked of the network, no error, a slider that moves, no wide page."""
 
-import shutil
-
 import numpy as np
 import pytest
-from emulators.tools import give_up
 
 from cep.io.images import encode_image
 from cep.report.result_page import Picture, Report, Section, Table, write_report
@@ -30,21 +27,6 @@ def address(tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "report.html"
     write_report(path, report)
     return path.as_uri()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        give_up("playwright is not installed: see .ci/tools")
-    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if chromium is None:
-        give_up("no Chromium is installed: see .ci/tools")
-    with sync_playwright() as play:
-        started = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        yield started
-        started.close()
 
 
 @pytest.fixture

@@ -1,0 +1,82 @@
+"""``cep studio``: codes dragged, searched and compared on a page of this computer."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cep.cli.console import finish
+from cep.cli.options import Force, Json, Seed
+
+__all__ = ["studio"]
+
+
+def studio(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="FILE", help="A studio.json that the page saved, to begin with.")
+    ] = None,
+    port: Annotated[
+        int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port on 127.0.0.1; a free one when omitted.")
+    ] = 0,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+    extract: Annotated[
+        Path | None,
+        typer.Option(
+            "--extract", metavar="FOLDER",
+            help="Instead of the page: write FILE's trajectory.json, code.json and commands.sh.",
+        ),
+    ] = None,
+    force: Force = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:  # fmt: skip
+    """Open the studio: a page on this computer where a code is dragged and everything follows.
+
+    Drop a blurred photo or choose a motion, give camera and light, and see the verdict, MTF, certified minimum, noise
+    and the simulated photo follow every chip. Search, compare, export, play on a controller. The page is served on
+    127.0.0.1 alone, to who has the key in the printed address. Ctrl-C ends it.
+
+    Example: cep studio
+
+    Example: cep studio studio.json --extract design
+    """
+    if extract is not None:
+        if file is None:
+            raise ValueError("--extract: needs the studio.json to take apart")
+        from cep.studio.documents import extract as take_apart
+
+        written = take_apart(file, extract, force=force)
+        finish({"files": written, "seed": seed}, as_json=as_json, show=lambda console: console.print(
+            "\n".join(map(str, written))
+        ))  # fmt: skip
+        return
+    try:
+        import starlette  # noqa: F401 - only whether it is there
+        import uvicorn  # noqa: F401
+    except ImportError:
+        raise ValueError("the studio needs two more packages: pip install 'coded-exposure[studio]'") from None
+    from cep.studio.server import serve
+
+    opened = None
+    if file is not None:
+        from cep.io.files import read_json
+
+        opened = read_json(file, schema="cep.studio/1").get("state")
+        if not isinstance(opened, dict):
+            raise ValueError(f"{file}: has no state, as the studio saves it")
+
+    def ready(address: str) -> None:
+        if as_json:
+            finish({"address": address, "seed": seed}, as_json=True, show=lambda _console: None)
+            sys.stdout.flush()
+        else:
+            print(f"The studio is at {address}\nCtrl-C ends it.", file=sys.stderr, flush=True)  # noqa: T201
+        if browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    serve(port=port, opened=opened, on_ready=ready)

@@ -1,0 +1,202 @@
+"""Long work for the page: one job at a time, in its own process, which can be ended and does not outlive its page."""
+
+from __future__ import annotations
+
+import asyncio
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import count
+from multiprocessing.connection import Connection
+from typing import Any
+
+from cep.studio import work
+
+__all__ = ["BusyError", "Job", "Jobs"]
+
+_GRACE_S = 5.0  # a page that is loaded again is the same page
+_STOP_S = 3.0  # to put a shutter's controller to rest
+
+
+class BusyError(Exception):
+    """Another job is running."""
+
+
+@dataclass
+class Job:
+    """One job as its page sees it.
+
+    Attributes
+    ----------
+    number : int
+    page : str
+        Page that started it.
+    kind : str
+        Name in :data:`cep.studio.work.KINDS`.
+    state : {"running", "done", "failed", "stopped"}
+    share : float
+        Finished share, 0..1.
+    note : str
+        What is being done.
+    best : mapping
+        Best so far, where the work tells it.
+    result : mapping
+    error : mapping
+        ``field`` and ``message``, where it failed.
+    """
+
+    number: int
+    page: str
+    kind: str
+    state: str = "running"
+    share: float = 0.0
+    note: str = "starting"
+    best: Mapping[str, Any] = field(default_factory=dict)
+    result: Mapping[str, Any] = field(default_factory=dict)
+    error: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON."""
+        return {name: value for name, value in vars(self).items() if name != "page"}
+
+
+class Jobs:
+    """The one job of a server, and the pages that listen to it.
+
+    Used from the server's event loop alone. Processes are forked from a helper that has loaded the library, where the
+    system can: a job then starts in milliseconds, and its memory goes back when it ends.
+    """
+
+    def __init__(self) -> None:
+        methods = multiprocessing.get_all_start_methods()
+        self._context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+        self._numbers = count(int(time.time()))  # a page may have seen jobs of an earlier run
+        self._process: Any = None
+        self._job: Job | None = None
+        self._listeners: dict[str, set[asyncio.Queue[Job | None]]] = {}
+        self._leaving: dict[str, asyncio.TimerHandle] = {}
+
+    def warm(self) -> None:
+        """Load the library in the helper, ahead of the first job."""
+        if self._context.get_start_method() == "forkserver":
+            from multiprocessing import forkserver
+
+            self._context.set_forkserver_preload(["cep.studio.work", "cep.workflows.optimize"])
+            forkserver.ensure_running()
+
+    def start(self, page: str, kind: str, order: Mapping[str, Any]) -> Job:
+        """Start a job for a page; an automatic one gives way.
+
+        Raises
+        ------
+        BusyError
+            If another one runs.
+        """
+        if self._job is not None and self._job.state == "running":
+            if not work.KINDS[self._job.kind].gives_way:
+                where = "this page" if self._job.page == page else "another page"
+                raise BusyError(f"{work.KINDS[self._job.kind].name} is running in {where}; stop it first")
+            self._end("stopped")
+        job = self._job = Job(next(self._numbers), page, kind)
+        ours, theirs = self._context.Pipe(duplex=False)
+        process = self._process = self._context.Process(target=work.run, args=(kind, dict(order), theirs), daemon=True)
+        process.start()
+        theirs.close()
+        loop = asyncio.get_running_loop()
+
+        def tell(message: Mapping[str, Any] | None) -> None:
+            with suppress(RuntimeError):  # the loop is closed: the server has ended
+                loop.call_soon_threadsafe(self._told, job, message)
+
+        threading.Thread(target=_listen, args=(ours, tell), daemon=True).start()
+        self._publish(job)
+        return job
+
+    def stop(self, page: str) -> None:
+        """Ask the job of a page to come to its end: a search keeps the best so far."""
+        job = self._job
+        if job is None or job.page != page or job.state != "running":
+            return
+        if work.KINDS[job.kind].keeps_best:
+            job.note = "stopping: the best so far is measured"
+            with suppress(ProcessLookupError, TypeError):
+                os.kill(self._process.pid, signal.SIGINT)
+            self._publish(job)
+        else:
+            self._end("stopped")
+
+    def current(self, page: str) -> Job | None:
+        """Return the last job of a page."""
+        return self._job if self._job is not None and self._job.page == page else None
+
+    def listen(self, page: str) -> asyncio.Queue[Job | None]:
+        """Return a queue of what happens to a page's job, beginning with what is."""
+        if (timer := self._leaving.pop(page, None)) is not None:
+            timer.cancel()
+        queue: asyncio.Queue[Job | None] = asyncio.Queue()
+        self._listeners.setdefault(page, set()).add(queue)
+        queue.put_nowait(self.current(page))
+        return queue
+
+    def leave(self, page: str, queue: asyncio.Queue[Job | None]) -> None:
+        """Forget a listener; the job of a page that nobody looks at any more ends a few seconds later."""
+        listeners = self._listeners.get(page, set())
+        listeners.discard(queue)
+        if not listeners:
+            self._listeners.pop(page, None)
+            self._leaving[page] = asyncio.get_running_loop().call_later(_GRACE_S, self._left, page)
+
+    def close(self) -> None:
+        """End the job."""
+        for timer in self._leaving.values():
+            timer.cancel()
+        if self._job is not None and self._job.state == "running":
+            self._end("stopped")
+
+    def _left(self, page: str) -> None:
+        self._leaving.pop(page, None)
+        if self._job is not None and self._job.page == page and self._job.state == "running":
+            self._end("stopped")
+
+    def _end(self, state: str) -> None:
+        """End the process at once; one that drives a shutter first puts it to rest."""
+        job, process = self._job, self._process
+        assert job is not None
+        job.state = state
+        if process.is_alive():
+            if work.KINDS[job.kind].needs_rest:
+                with suppress(ProcessLookupError):
+                    os.kill(process.pid, signal.SIGINT)
+                process.join(_STOP_S)
+            process.kill()
+            process.join()
+        self._publish(job)
+
+    def _told(self, job: Job, message: Mapping[str, Any] | None) -> None:
+        if job.state != "running":
+            return
+        if message is None:  # the pipe was closed without a result
+            job.state, job.error = "failed", {"field": "job", "message": "the work ended without a result"}
+        for name, value in (message or {}).items():
+            setattr(job, name, value)
+        self._publish(job)
+
+    def _publish(self, job: Job) -> None:
+        for queue in self._listeners.get(job.page, ()):
+            queue.put_nowait(job)
+
+
+def _listen(pipe: Connection, tell: Callable[[Mapping[str, Any] | None], None]) -> None:
+    """Pass on what the process says, until it is gone."""
+    with pipe:
+        while True:
+            try:
+                tell(pipe.recv())
+            except (EOFError, OSError):
+                break
+    tell(None)

@@ -1,0 +1,350 @@
+"""Server of the studio: its addresses, each a few lines, behind the gate; and its start on 127.0.0.1."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager, suppress
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from cep.studio.documents import opened_document, opened_gyro
+from cep.studio.jobs import BusyError, Job, Jobs
+from cep.studio.security import Gate, Keys, TooLargeError
+from cep.studio.state import FieldError, Setting, read_setting
+from cep.studio.uploads import Uploads
+from cep.studio.views import Views, start_view
+from cep.studio.work import KINDS
+from cep.workflows import catalogue
+
+__all__ = ["make_app", "serve"]
+
+_STATIC = {
+    "index.html": "text/html; charset=utf-8",
+    "studio.css": "text/css; charset=utf-8",
+    "studio.js": "text/javascript; charset=utf-8",
+    "state.js": "text/javascript; charset=utf-8",
+    "strip.js": "text/javascript; charset=utf-8",
+    "plots.js": "text/javascript; charset=utf-8",
+    "icon.svg": "image/svg+xml",
+}
+_BEAT_S = 15.0
+_MOST_PINS, _MOST_PAGE = 12, 64
+Answer = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
+
+
+class _Studio:
+    """What the addresses share."""
+
+    def __init__(self) -> None:
+        self.views = Views()
+        self.uploads = Uploads()
+        self.jobs = Jobs()
+        # a verdict that takes a second must not hold up the pictures
+        self._quick = ThreadPoolExecutor(2, thread_name_prefix="picture")
+        self._slow = ThreadPoolExecutor(1, thread_name_prefix="verdict")
+
+    async def quickly(self, do: Callable[..., Any], *args: Any, **options: Any) -> Any:
+        return await asyncio.get_running_loop().run_in_executor(self._quick, lambda: do(*args, **options))
+
+    async def slowly(self, do: Callable[..., Any], *args: Any) -> Any:
+        return await asyncio.get_running_loop().run_in_executor(self._slow, lambda: do(*args))
+
+    def close(self) -> None:
+        self.jobs.close()
+        for pool in (self._quick, self._slow):
+            pool.shutdown(wait=False, cancel_futures=True)
+        self.uploads.close()
+
+    # -- answers to a document of the page ------------------------------------------------------------------------
+
+    async def picture(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        steps, seed = (asked.get(name) if isinstance(asked.get(name), int) else None for name in ("steps", "seed"))
+        found: dict[str, Any] = await self.quickly(self.views.picture, _setting(asked), steps=steps, seed=seed or 0)
+        return found
+
+    async def photos(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        scene = self._scene(asked.get("scene"))
+        which = {"restored": asked.get("restored") is True, "opened": asked.get("open") is not False}
+        found: dict[str, Any] = await self.quickly(self.views.photos, _setting(asked), scene, **which)
+        return found
+
+    async def verdict(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        found: dict[str, Any] = await self.slowly(self.views.verdict, _setting(asked))
+        return found
+
+    async def compare(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        pins = asked.get("pins")
+        if not isinstance(pins, dict) or len(pins) > _MOST_PINS:
+            raise FieldError("pins", f"up to {_MOST_PINS} codes can be pinned")
+        for bits in pins.values():
+            if not isinstance(bits, str) or not bits or set(bits) - {"0", "1"} or "1" not in bits:
+                raise FieldError("pins", "a pinned code is a row of 1 (open) and 0 (closed)")
+        found: dict[str, Any] = await self.slowly(self.views.compared, _setting(asked), pins)
+        return found
+
+    async def export(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        found: dict[str, Any] = await self.quickly(self.views.exported, _setting(asked), asked.get("format"))
+        return found
+
+    async def save(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        state = asked.get("state")
+        if not isinstance(state, dict):
+            raise FieldError("page", "the state to save must be an object")
+        found: dict[str, Any] = await self.slowly(self.views.saved, _setting(asked), state)
+        return found
+
+    async def job(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        page, kind = _page(asked.get("page")), asked.get("kind")
+        if not isinstance(kind, str) or kind not in KINDS:
+            raise FieldError("job", f"the kinds of jobs are {', '.join(KINDS)}")
+        if kind == "calibrate":
+            method = asked.get("method", "motdiff")
+            if method not in ("motdiff", "pmp"):
+                raise FieldError("method", "the methods are motdiff and pmp")
+            order: dict[str, Any] = {"path": str(self.uploads.path(asked.get("photo"))), "method": method}
+        else:
+            _setting(asked).problem()
+            order = {"setting": asked["setting"], "steps": asked.get("steps"), "seed": asked.get("seed", 0)}
+        if kind == "play":
+            ports = {choice.name for choice in await self.quickly(catalogue.ports)}
+            if asked.get("port") not in {"emulated", *ports}:
+                raise FieldError("port", "choose a port of the list")
+            order |= {"port": asked["port"], "arm": asked.get("arm") is True}
+        return self.jobs.start(page, kind, order).to_dict()
+
+    async def stop(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        self.jobs.stop(_page(asked.get("page")))
+        return {}
+
+    def _scene(self, key: object) -> np.ndarray[Any, Any] | None:
+        """Return the restored part of a photo, None for the bundled scene."""
+        if key in (None, ""):
+            return None
+        photo = self.uploads.path(key)
+        scene = photo.with_name(f"{photo.stem}_scene.npy")
+        return np.load(scene, allow_pickle=False) if scene.is_file() else None
+
+
+def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlette:
+    """Make the application, with the gate in front of it.
+
+    Parameters
+    ----------
+    keys : Keys
+    opened : mapping, optional
+        State that a page without one in its address begins with.
+    """
+    studio = _Studio()
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        studio.jobs.warm()
+        yield
+        studio.close()
+
+    def answering(answer: Answer) -> Callable[[Request], Awaitable[Response]]:
+        async def endpoint(request: Request) -> Response:
+            return JSONResponse(await answer(await _document(request)))
+
+        return endpoint
+
+    async def upload_photo(request: Request) -> Response:
+        return JSONResponse({"photo": await studio.uploads.photo(request.stream())})
+
+    async def upload_document(request: Request) -> Response:
+        file = await studio.uploads.text(request.stream(), ".json")
+        try:
+            return JSONResponse(await studio.quickly(opened_document, file))
+        finally:
+            file.unlink(missing_ok=True)
+
+    async def upload_gyro(request: Request) -> Response:
+        file = await studio.uploads.text(request.stream(), ".csv")
+        try:
+            return JSONResponse(await studio.quickly(opened_gyro, file, dict(request.query_params)))
+        finally:
+            file.unlink(missing_ok=True)
+
+    async def example_photo(_: Request) -> Response:
+        content = await studio.quickly(_bundled_photo)
+        return JSONResponse({"photo": studio.uploads.add(content, ".png")})
+
+    async def preview(request: Request) -> Response:
+        photo = studio.uploads.path(request.path_params["key"])
+        file = photo.with_name(f"{photo.stem}_preview.jpg")
+        if not file.is_file():
+            raise HTTPException(404)
+        return FileResponse(file, media_type="image/jpeg")
+
+    async def start(_: Request) -> Response:
+        return JSONResponse(await studio.quickly(start_view))
+
+    async def opened_state(_: Request) -> Response:
+        return JSONResponse({} if opened is None else {"state": opened})
+
+    async def ports(_: Request) -> Response:
+        found = await studio.quickly(catalogue.ports)
+        return JSONResponse({"ports": [{"name": one.name, "about": one.about} for one in found]})
+
+    async def events(request: Request) -> Response:
+        return StreamingResponse(
+            _events(studio.jobs, _page(request.query_params.get("page"))), 200, media_type="text/event-stream"
+        )
+
+    async def static(request: Request) -> Response:
+        return _static(request.path_params.get("name", "index.html"))
+
+    answers = {
+        "picture": studio.picture, "photos": studio.photos, "verdict": studio.verdict, "compare": studio.compare,
+        "export": studio.export, "save": studio.save, "job": studio.job, "stop": studio.stop,
+    }  # fmt: skip
+    routes = [
+        Route("/", static),
+        Route("/static/{name}", static),
+        Route("/api/start", start),
+        Route("/api/opened", opened_state),
+        Route("/api/ports", ports),
+        Route("/api/events", events),
+        Route("/api/photo/{key}", preview),
+        Route("/api/example-photo", example_photo, methods=["POST"]),
+        Route("/api/upload/photo", upload_photo, methods=["POST"]),
+        Route("/api/upload/document", upload_document, methods=["POST"]),
+        Route("/api/upload/gyro", upload_gyro, methods=["POST"]),
+        *(Route(f"/api/{name}", answering(answer), methods=["POST"]) for name, answer in answers.items()),
+    ]
+    handlers: Any = {FieldError: _wrong, BusyError: _busy, TooLargeError: _large, ClientDisconnect: _gone}
+    app = Starlette(
+        routes=routes, lifespan=lifespan, exception_handlers=handlers, middleware=[Middleware(Gate, keys=keys)]
+    )  # fmt: skip
+    app.state.studio = studio
+    return app
+
+
+def serve(
+    *,
+    port: int = 0,
+    opened: Mapping[str, Any] | None = None,
+    on_ready: Callable[[str], None] = lambda _address: None,
+) -> None:
+    """Serve the studio on 127.0.0.1 until Ctrl-C.
+
+    Parameters
+    ----------
+    port : int
+        0 takes a free one.
+    opened : mapping, optional
+        As of :func:`make_app`.
+    on_ready : callable
+        Called with the address to open, key included, when it is bound.
+
+    Raises
+    ------
+    ValueError
+        If the port cannot be used.
+    """
+    import uvicorn
+
+    bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind(("127.0.0.1", port))
+    except (OSError, OverflowError) as error:
+        bound.close()
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ValueError(f"port: {port} cannot be used ({reason}); leave it out for a free one") from None
+    keys = Keys(bound.getsockname()[1])
+    config = uvicorn.Config(
+        make_app(keys, opened=opened), log_level="error", access_log=False, server_header=False, date_header=False,
+        timeout_graceful_shutdown=1, h11_max_incomplete_event_size=64 * 1024, ws="none",
+    )  # fmt: skip
+    server = uvicorn.Server(config)
+    bound.listen(64)
+    on_ready(keys.address)
+    with bound, suppress(KeyboardInterrupt):
+        server.run(sockets=[bound])
+
+
+async def _document(request: Request) -> Mapping[str, Any]:
+    body = await request.body()
+    try:
+        document = json.loads(body)
+    except (ValueError, RecursionError):
+        raise FieldError("page", "the request is not JSON") from None
+    if not isinstance(document, dict):
+        raise FieldError("page", "the request must be a JSON object")
+    return document
+
+
+def _setting(asked: Mapping[str, Any]) -> Setting:
+    return read_setting(asked.get("setting"))
+
+
+def _page(name: object) -> str:
+    if not isinstance(name, str) or not 8 <= len(name) <= _MOST_PAGE or not name.isalnum():
+        raise FieldError("page", "a page has a name of 8 to 64 letters and digits")
+    return name
+
+
+async def _events(jobs: Jobs, page: str) -> AsyncIterator[str]:
+    """Tell a page of its job as it goes on; an idle line now and then shows whether the page is still there."""
+    queue = jobs.listen(page)
+    try:
+        while True:
+            try:
+                job: Job | None = await asyncio.wait_for(queue.get(), _BEAT_S)
+            except TimeoutError:
+                yield ": beat\n\n"
+                continue
+            while not queue.empty():  # only the latest state counts
+                job = queue.get_nowait()
+            yield f"data: {json.dumps(None if job is None else job.to_dict())}\n\n"
+    finally:
+        jobs.leave(page, queue)
+
+
+def _static(name: str) -> Response:
+    if name not in _STATIC:
+        raise HTTPException(404)
+    content = (resources.files("cep.studio") / "static" / name).read_bytes()
+    return Response(content, media_type=_STATIC[name])
+
+
+def _bundled_photo() -> bytes:
+    """Blurred photo of the demo, as a PNG file."""
+    from cep.io.images import encode_image
+    from cep.workflows.demo_chain import STANDARD_CAMERA
+    from cep.workflows.demo_scene import bundled_scene
+
+    import cep  # isort: skip
+
+    scene = bundled_scene(cep.Camera.load(STANDARD_CAMERA), rng=np.random.default_rng(0))
+    return encode_image(scene.photo, ".png")
+
+
+def _wrong(_: Request, error: Exception) -> Response:
+    assert isinstance(error, FieldError)
+    return JSONResponse({"error": {"field": error.field, "message": str(error)}}, 422)
+
+
+def _busy(_: Request, error: Exception) -> Response:
+    return JSONResponse({"error": {"field": "job", "message": str(error)}}, 409)
+
+
+def _large(_: Request, error: Exception) -> Response:
+    return JSONResponse({"error": {"field": "page", "message": f"at most {error.args[0]:,} bytes are read"}}, 413)
+
+
+def _gone(_: Request, _error: Exception) -> Response:
+    return Response(status_code=400)  # nobody reads it

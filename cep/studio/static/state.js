@@ -1,0 +1,113 @@
+// The state of the page: plain values, written into the address after #, so that the address is the state.
+
+export const DEFAULTS = {
+  motion: { kind: "straight", length: 40, angle: 0 },
+  bits: "1010000111000001010000110011110111010111001001100111",
+  exposure: "1/30",
+  camera: "aptina-mt9m031-8bit",
+  photons: null,
+  read_noise: null,
+  device: "",
+  open: null,
+  min_open: null, max_open: null, min_closed: null, max_pulses: null,
+  pins: [],
+  photo: "",
+  view: "taken",
+  search: null,
+};
+const LIMITS = ["min_open", "max_open", "min_closed", "max_pulses"];
+const NUMBERS = ["photons", "read_noise", ...LIMITS];
+
+/** What the server reads: the setting alone, without what only the page needs. */
+export function settingOf(state) {
+  const { motion, bits, exposure, camera, photons, read_noise, device, open } = state;
+  const limits = Object.fromEntries(LIMITS.filter((name) => state[name] !== null).map((name) => [name, state[name]]));
+  return { motion, bits, exposure, camera, photons, read_noise, device, open, ...limits };
+}
+
+export function toAddress(state) {
+  const query = new URLSearchParams();
+  query.set("motion", motionText(state.motion));
+  query.set("code", state.bits);
+  for (const name of ["exposure", "camera", "device"]) if (state[name] !== DEFAULTS[name]) query.set(name, state[name]);
+  for (const name of NUMBERS) if (state[name] !== null) query.set(name, state[name]);
+  if (state.open) query.set("open", state.open.join(":"));
+  for (const pin of state.pins) query.append("pin", `${pin.name}=${pin.bits}`);
+  if (state.photo) query.set("photo", state.photo);
+  if (state.view !== DEFAULTS.view) query.set("view", state.view);
+  if (state.search) query.set("search", `${state.search.steps}:${state.search.seed}`);
+  return `#${query.toString().replaceAll("%3A", ":").replaceAll("%2F", "/").replaceAll("%3D", "=")}`;
+}
+
+export function fromAddress(hash) {
+  const query = new URLSearchParams(hash.replace(/^#/, ""));
+  const state = structuredClone(DEFAULTS);
+  const motion = query.has("motion") ? motionOf(query.get("motion")) : null;
+  if (motion) state.motion = motion;
+  if (query.has("code")) state.bits = query.get("code");
+  for (const name of ["exposure", "camera", "device", "photo", "view"]) if (query.has(name)) state[name] = query.get(name);
+  for (const name of NUMBERS) if (query.has(name) && query.get(name) !== "") state[name] = Number(query.get(name));
+  if (query.has("open")) {
+    const ends = query.get("open").split(":").map(Number);
+    state.open = ends.length === 1 ? [ends[0], ends[0]] : ends;
+  }
+  state.pins = query.getAll("pin").map((text) => ({ name: text.slice(0, text.lastIndexOf("=")), bits: text.slice(text.lastIndexOf("=") + 1) }))
+    .filter((pin) => /^[01]*1[01]*$/.test(pin.bits)).slice(0, 10);
+  if (query.has("search")) {
+    const [steps, seed] = query.get("search").split(":").map(Number);
+    if (Number.isInteger(steps) && Number.isInteger(seed)) state.search = { steps, seed };
+  }
+  return state;
+}
+
+// -- motions: straight:40:0, example:walk, or path:direction:scale:base64 of 16-bit t, x and y ---------------------------
+
+function motionText(motion) {
+  if (motion.kind === "straight") return `straight:${motion.length}:${motion.angle}`;
+  if (motion.kind === "example") return `example:${motion.name}`;
+  const { scale, bytes } = packed(motion);
+  return `path:${motion.direction}:${scale}:${base64(bytes)}`;
+}
+
+function motionOf(text) {
+  const [kind, ...rest] = text.split(":");
+  if (kind === "straight") return { kind, length: Number(rest[0]), angle: Number(rest[1] ?? 0) };
+  if (kind === "example") return { kind, name: rest[0] };
+  if (kind !== "path" || rest.length !== 3) return null;
+  try {
+    const raw = atob(rest[2].replaceAll("-", "+").replaceAll("_", "/"));
+    const bytes = Uint8Array.from(raw, (letter) => letter.charCodeAt(0));
+    return unpacked(rest[0], Number(rest[1]), bytes);
+  } catch {
+    return null;
+  }
+}
+
+/** A path as it comes back out of the address: what is measured is what the address says. */
+export function settled(path) {
+  const { scale, bytes } = packed(path);
+  return unpacked(path.direction, scale, bytes);
+}
+
+function packed({ t, x, y }) {
+  const reach = Math.max(...x.map(Math.abs), ...y.map(Math.abs), 1e-6);
+  const scale = Number((reach / 32000).toPrecision(4)) || 1e-6;
+  const view = new DataView(new ArrayBuffer(6 * t.length));
+  t.forEach((value, i) => view.setUint16(2 * i, Math.round(65535 * value)));
+  x.forEach((value, i) => view.setInt16(2 * (t.length + i), Math.round(value / scale)));
+  y.forEach((value, i) => view.setInt16(2 * (2 * t.length + i), Math.round(value / scale)));
+  return { scale, bytes: new Uint8Array(view.buffer) };
+}
+
+function unpacked(direction, scale, bytes) {
+  const count = bytes.length / 6, view = new DataView(bytes.buffer);
+  const read = (at, get, size) => Array.from({ length: count }, (_, i) => get.call(view, 2 * (at * count + i)) * size);
+  return {
+    kind: "path", direction,
+    t: read(0, view.getUint16, 1 / 65535), x: read(1, view.getInt16, scale), y: read(2, view.getInt16, scale),
+  };
+}
+
+function base64(bytes) {
+  return btoa(String.fromCharCode(...bytes)).replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "");
+}

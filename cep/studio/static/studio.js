@@ -1,0 +1,654 @@
+// The page: what the hand changes becomes the state, the state becomes the address, and everything follows it.
+
+import { DEFAULTS, fromAddress, settingOf, settled, toAddress } from "./state.js";
+import { miniature, Strip } from "./strip.js";
+import { drawCurves, drawGains, drawMap, drawOnPhoto, drawPath, drawPlayed } from "./plots.js";
+
+const $ = (id) => document.getElementById(id);
+const page = named("studio-page", () => crypto.randomUUID().replaceAll("-", ""));
+let state = fromAddress(location.hash);
+let revision = 0, shown = null, judged = null, advice = remembered("studio-advice"), openMap = null, estimate = remembered("studio-estimate"), job = null, known = null;
+const past = [], future = [];
+const strip = new Strip($("strip"), (bits, done) => {
+  if (done) record();
+  change({ bits, search: null }, { recorded: true });
+});
+
+// -- the server ---------------------------------------------------------------------------------------------------------
+
+class Refused extends Error {
+  constructor(field, message) { super(message); this.field = field; }
+}
+
+async function ask(address, options = {}) {
+  let answer;
+  try {
+    answer = await fetch(address, options);
+  } catch {
+    throw new Refused("page", "The studio no longer answers: start cep studio again, and open the address that it prints. Nothing here is lost.");
+  }
+  const text = await answer.text();
+  let found = {};
+  try { found = JSON.parse(text); } catch { /* a refusal in plain text */ }
+  if (!answer.ok) throw new Refused(found.error?.field ?? "page", found.error?.message ?? text.slice(0, 200));
+  return found;
+}
+
+const post = (name, body) => ask(`/api/${name}`, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
+
+/** Run again as long as something has changed meanwhile: the latest state is the one that counts. */
+function follower(run) {
+  let busy = false, again = false;
+  return async () => {
+    again = true;
+    if (busy) return;
+    busy = true;
+    while (again) { again = false; await run(); }
+    busy = false;
+  };
+}
+
+function complain(error, fields = []) {
+  if (!(error instanceof Refused)) throw error;
+  const box = document.querySelector(`.error[data-for~="${CSS.escape(error.field)}"]`) ?? document.querySelector('.error[data-for~="page"]');
+  box.textContent = sentence(error.message);
+  box.dataset.by = fields.join(" ");
+  $(error.field)?.setAttribute?.("aria-invalid", "true");
+}
+
+function calm(by) {
+  for (const box of document.querySelectorAll(".error")) {
+    if (box.dataset.by !== by || !box.textContent) continue;
+    box.textContent = "";
+    for (const name of box.dataset.for.split(" ")) $(name)?.removeAttribute?.("aria-invalid");
+  }
+}
+
+function sentence(text) {
+  const whole = text.trim();
+  return whole.charAt(0).toUpperCase() + whole.slice(1) + (/[.!?]$/.test(whole) ? "" : ".");
+}
+
+// -- what follows a change ------------------------------------------------------------------------------------------------
+
+const followPicture = follower(async () => {
+  const at = revision;
+  try {
+    const found = await post("picture", { setting: settingOf(state), ...state.search });
+    calm("picture");
+    if (found.error) complain(new Refused(found.error.field, found.error.message), ["picture"]);
+    shown = found;
+    draw();
+  } catch (error) { complain(error, ["picture"]); }
+  document.body.dataset.picture = at;
+});
+
+let openPhotos = "";
+const followPhotos = follower(async () => {
+  const at = revision, view = state.view;
+  try {
+    const key = JSON.stringify({ ...settingOf(state), bits: state.bits.length, view, photo: state.photo });
+    const found = await post("photos", { setting: settingOf(state), restored: view === "restored", scene: state.photo, open: key !== openPhotos });
+    calm("photos");
+    $("photo-code").src = found.code;
+    if (found.open) { $("photo-open").src = found.open; openPhotos = key; }
+    await $("photo-code").decode().catch(() => {});
+  } catch (error) { complain(error, ["photos"]); }
+  document.body.dataset.photo = at;
+});
+
+const followVerdict = follower(async () => {
+  const at = revision;
+  try {
+    judged = await post("verdict", { setting: settingOf(state) });
+    calm("verdict");
+  } catch (error) {
+    judged = null;
+    complain(error, ["verdict"]);
+  }
+  drawVerdict();
+  drawPins();
+  document.body.dataset.verdict = at;
+});
+
+/** First what to do, by the best code that was found at this light; then where it turns; then what this code is worth. */
+function drawVerdict() {
+  const valid = advice && advice.key === adviceKey();
+  for (const id of ["sentence", "where", "gains"]) $(id).classList.toggle("stale", !valid);
+  if (valid) {
+    const [head, conditions] = cut(advice.sentence);
+    $("sentence").textContent = head;
+    $("where").textContent = `${advice.where} ${conditions}`;
+  } else if (!judged) {
+    $("sentence").textContent = "No verdict: one of the inputs below needs a look.";
+    $("where").textContent = "";
+  } else {
+    $("sentence").textContent = cut(judged.sentence)[0];
+    $("where").textContent = "The best code for this motion and light is being searched.";
+  }
+  $("own").textContent = judged ? ownLine(valid) : "";
+}
+
+/** What to do, and under which conditions. */
+function cut(text) {
+  const at = text.indexOf(". Gains are");
+  return at < 0 ? [text, ""] : [text.slice(0, at + 1), text.slice(at + 2)];
+}
+
+function ownLine(valid) {
+  const beside = judged.ways.filter((way) => way.kind === "snapshot" && way.within_limits && !way.saturates).map((way) => [way.psnr_db, "the best single exposure"]);
+  if (valid && advice.ways.code) beside.push([advice.ways.code.psnr_db, "the best code found"]);
+  const gaps = beside.map(([psnr, name]) => {
+    const gap = judged.psnr_db - psnr;
+    return Math.abs(gap) < 0.005 ? `as well as ${name}` : `${Math.abs(gap).toFixed(2)} dB ${gap > 0 ? "better" : "worse"} than ${name}`;
+  });
+  return gaps.length ? `The code below restores ${gaps.join(" and ")}.` : "";
+}
+
+let pinned = {};
+const followPins = follower(async () => {
+  try {
+    const pins = Object.fromEntries(state.pins.filter((pin) => pin.bits.length === state.bits.length).map((pin) => [pin.name, pin.bits]));
+    pinned = Object.keys(pins).length ? (await post("compare", { setting: settingOf(state), pins })).pins : {};
+    calm("pins");
+  } catch (error) { complain(error, ["pins"]); }
+  drawPins();
+  drawCurve();
+});
+
+let adviceTimer = null, adviceAsked = "";
+function adviceKey() {
+  const { bits, ...rest } = settingOf(state);
+  return JSON.stringify({ ...rest, chips: bits.length });
+}
+
+function followAdvice() {
+  clearTimeout(adviceTimer);
+  const key = adviceKey();
+  if (key === adviceAsked || key === advice?.key) return;
+  adviceTimer = setTimeout(async () => {
+    if (job?.state === "running" && job.kind !== "advise") return; // after it
+    adviceAsked = key;
+    try {
+      await post("job", { page, kind: "advise", setting: settingOf(state) });
+    } catch (error) {
+      adviceAsked = "";
+      if (error.field !== "job") complain(error, ["verdict"]);
+    }
+  }, 900);
+}
+
+function change(part, { recorded = false } = {}) {
+  if (!recorded) record();
+  const before = state;
+  state = { ...state, ...part };
+  history.replaceState(null, "", toAddress(state));
+  fill();
+  if (JSON.stringify(settingOf(before)) !== JSON.stringify(settingOf(state)) || before.photo !== state.photo || before.view !== state.view) follow();
+  else followPins();
+}
+
+function follow() {
+  if (!/^[01]*1[01]*$/.test(state.bits)) {
+    complain(new Refused("bits", "a code is a row of 1 (open) and 0 (closed), with at least one open chip"), ["picture"]);
+    return;
+  }
+  revision++;
+  followPicture();
+  followPhotos();
+  drawVerdict();
+  followVerdict();
+  followPins();
+  followAdvice();
+}
+
+function record() {
+  past.push(state);
+  if (past.length > 200) past.shift();
+  future.length = 0;
+}
+
+function travel(from, to) {
+  if (!from.length) return;
+  to.push(state);
+  change(from.pop(), { recorded: true });
+}
+
+// -- what is shown ----------------------------------------------------------------------------------------------------------
+
+/** Put the state into the fields; one that is being typed in is left alone. */
+function fill() {
+  strip.set(/^[01]+$/.test(state.bits) ? state.bits : "1");
+  put("bits", state.bits);
+  put("chips", state.bits.length);
+  for (const name of ["exposure", "camera", "device"]) put(name, state[name]);
+  const camera = known?.cameras.find((one) => one.name === state.camera);
+  put("photons", state.photons ?? camera?.photons ?? 10000);
+  put("photons-range", Math.log10(state.photons ?? camera?.photons ?? 10000));
+  put("read_noise", state.read_noise ?? camera?.read_noise ?? 5);
+  $("camera-about").textContent = camera?.about ?? "a sensor of 12 bits";
+  $("device-about").textContent = known?.devices.find((one) => one.name === state.device)?.about ?? "";
+  put("open-low", state.open?.[0] ?? "");
+  put("open-high", state.open?.[1] ?? "");
+  for (const name of ["min_open", "max_open", "min_closed", "max_pulses"]) put(name, state[name] ?? "");
+  const { motion } = state;
+  $("motion-kind").querySelector('[value="path"]').disabled = motion.kind !== "path" && !estimate;
+  put("motion-kind", motion.kind === "example" ? `example:${motion.name}` : motion.kind);
+  $("straight-fields").hidden = motion.kind !== "straight";
+  if (motion.kind === "straight") {
+    for (const name of ["length", "angle"]) { put(name, motion[name]); put(`${name}-range`, motion[name]); }
+  }
+  for (const radio of document.getElementsByName("view")) radio.checked = radio.value === state.view;
+  $("undo").disabled = !past.length;
+  $("redo").disabled = !future.length;
+  $("photo-line").textContent = state.view === "restored"
+    ? "Restored by a Wiener filter along the motion, taken as known."
+    : "With the camera's noise. Coded photos are brightened to the light of the open shutter.";
+  drawEstimate();
+  drawPins();
+}
+
+function put(id, value) {
+  if (document.activeElement !== $(id)) $(id).value = value;
+}
+
+function draw() {
+  const { code, motion, figures, open } = shown;
+  $("code-line").textContent = `${code.open} of ${code.chips} chips open, ${code.openings} opening${code.openings === 1 ? "" : "s"}, chips of ${code.chip}`;
+  $("axis-middle").textContent = half(code.exposure);
+  $("axis-end").textContent = code.exposure;
+  $("broken").hidden = !code.broken.length;
+  $("broken").textContent = code.broken.map(sentence).join(" ");
+  figure("psnr", `${figures.psnr_db.toFixed(2)} dB`, `${signed(figures.psnr_db - open.psnr_db)} dB over the open shutter`);
+  const zero = figures.min_mtf_lower < 1e-6;
+  figure("min", zero ? "0" : `≥ ${digits(figures.min_mtf_lower)}`, zero && figures.min_mtf > 1e-4 ? `reached ${digits(figures.min_mtf)}; not proven above 0` : `open shutter ${digits(open.min_mtf)}`);
+  figure("noise", figures.noise_gain_db === null ? "> 100 dB" : `${figures.noise_gain_db.toFixed(1)} dB`, open.noise_gain_db === null ? "open shutter > 100 dB" : `open shutter ${open.noise_gain_db.toFixed(1)} dB`);
+  figure("light", `${Math.round(100 * code.duty)} %`, `${code.open} / ${code.chips}`);
+  $("path-line").textContent = `${motion.length_px.toFixed(1)} px long, ${motion.extent_px.toFixed(1)} px wide; ${motion.both ? "direction unknown: the worse one counts" : motion.direction === "known" ? "direction known" : "either direction is the same"}. Lit where the shutter is open; dots are equal steps of time.`;
+  drawPath($("path"), motion.path, state.bits);
+  drawCurve();
+  drawMap($("map-code"), shown.map);
+  if (shown.open_map) openMap = shown.open_map;
+  if (openMap) drawMap($("map-open"), openMap);
+  $("map-code").setAttribute("aria-label", "MTF of this code over all frequencies");
+  $("map-open").setAttribute("aria-label", "MTF of the open shutter over all frequencies");
+  $("commands").textContent = shown.commands.join("\n");
+  drawPins();
+}
+
+function figure(name, value, delta) {
+  $(`f-${name}`).textContent = value;
+  $(`d-${name}`).textContent = delta;
+}
+
+function drawCurve() {
+  if (!shown) return;
+  const pins = state.pins.filter((pin) => pinned[pin.name]).map((pin, i) => ({ values: pinned[pin.name].curve, class: `pin${i % 5}` }));
+  drawCurves($("curve"), [{ values: shown.open_curve, class: "open" }, ...pins, { values: shown.curve, class: "code" }]);
+}
+
+function drawPins() {
+  if (!shown) return;
+  const rows = [{ name: "this code", bits: state.bits, colour: "code", figures: shown.figures }];
+  state.pins.forEach((pin) => {
+    const i = state.pins.filter((one) => pinned[one.name]).indexOf(pin);
+    rows.push({ name: pin.name, bits: pin.bits, colour: i < 0 ? "" : `pin${i % 5}`, figures: pinned[pin.name], pin });
+  });
+  const ways = [...(judged?.ways ?? []), ...(advice?.key === adviceKey() && advice.ways.code ? [{ ...advice.ways.code, name: "best code found" }] : [])];
+  for (const way of ways) rows.push({ name: way.name, bits: way.bits, figures: { psnr_db: way.psnr_db }, way, note: way.saturates ? "saturates" : way.within_limits ? "" : "outside the limits" });
+  $("pins").tBodies[0].replaceChildren(...rows.map((row, index) => {
+    const line = document.createElement("tr");
+    if (!index) line.className = "mark";
+    const head = document.createElement("td");
+    const name = document.createElement("span");
+    name.textContent = row.note ? `${row.name} (${row.note})` : row.name;
+    head.append(name, miniature(row.bits));
+    const light = row.bits.split("1").length - 1;
+    const cells = [`${Math.round((100 * light) / row.bits.length)} %`, value(row.figures?.min_mtf, digits), row.figures && "noise_gain_db" in row.figures ? (row.figures.noise_gain_db === null ? "> 100" : row.figures.noise_gain_db.toFixed(1)) : "–", value(row.figures?.psnr_db, (x) => x.toFixed(2))];
+    line.append(head, ...cells.map((text) => { const cell = document.createElement("td"); cell.className = "n"; cell.textContent = text; return cell; }));
+    const last = document.createElement("td");
+    last.className = "n";
+    if (row.pin || row.way) {
+      last.append(act("take", `Take ${row.name}`, () => change({ bits: row.bits, search: null })));
+      if (row.pin) last.append(" ", act("unpin", `Unpin ${row.name}`, () => change({ pins: state.pins.filter((one) => one !== row.pin) })));
+      else last.append(" ", act("pin", `Pin ${row.name}`, () => pinCode(row.name, row.bits)));
+    }
+    line.append(last);
+    return line;
+  }));
+}
+
+function act(text, label, does) {
+  const made = document.createElement("button");
+  made.type = "button";
+  made.className = "link";
+  made.textContent = text;
+  made.setAttribute("aria-label", label);
+  made.addEventListener("click", does);
+  return made;
+}
+
+function drawEstimate() {
+  $("estimate").hidden = !estimate;
+  const drop = $("drop");
+  const hasPhoto = Boolean(state.photo) && Boolean(estimate?.width);
+  drop.classList.toggle("filled", !$("photo-image").hidden);
+  if (!estimate) return;
+  $("confidence").value = estimate.confidence ?? 1;
+  $("confidence-text").textContent = estimate.confidence === undefined ? "of a file" : `${Math.round(100 * estimate.confidence)} %`;
+  $("confidence").hidden = estimate.confidence === undefined;
+  $("estimate-warnings").replaceChildren(...(estimate.warnings ?? []).map((text) => { const item = document.createElement("li"); item.textContent = text; return item; }));
+  $("alternatives").replaceChildren(...estimate.paths.map((path, i) => {
+    const chosen = state.motion.kind === "path" && same(state.motion, path);
+    const made = document.createElement("button");
+    made.type = "button";
+    made.setAttribute("role", "radio");
+    made.setAttribute("aria-checked", chosen);
+    made.setAttribute("aria-label", `Path ${i + 1}: ${path.length_px.toFixed(1)} px, weight ${Math.round(100 * path.weight)} percent`);
+    const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+    const label = document.createElement("span");
+    label.textContent = `${Math.round(100 * path.weight)} %`;
+    made.append(svg, label);
+    drawPath(svg, path, "", { dots: false });
+    made.addEventListener("click", () => change({ motion: pathOf(path) }));
+    return made;
+  }));
+  if (hasPhoto && state.motion.kind === "path") {
+    $("photo-path").toggleAttribute("hidden", false);
+    drawOnPhoto($("photo-path"), state.motion, estimate.width, estimate.height);
+  } else $("photo-path").toggleAttribute("hidden", true);
+}
+
+const pathOf = ({ direction, t, x, y }) => settled({ kind: "path", direction, t, x, y });
+const same = (one, other) => JSON.stringify(one.x) === JSON.stringify(pathOf(other).x);
+const signed = (x) => `${x >= 0 ? "+" : "−"}${Math.abs(x).toFixed(2)}`;
+const digits = (x) => (x === 0 ? "0" : x.toPrecision(3));
+const value = (x, how) => (x === undefined || x === null ? "–" : how(x));
+const half = (text) => { const [number, unit] = text.split(" "); return `${(Number(number) / 2).toPrecision(3)} ${unit}`; };
+
+// -- the job --------------------------------------------------------------------------------------------------------------
+
+function listen() {
+  const source = new EventSource(`/api/events?page=${page}`);
+  source.onmessage = (event) => heard(JSON.parse(event.data));
+}
+
+let handled = remembered("studio-handled") ?? 0;
+function heard(news) {
+  job = news;
+  const running = news?.state === "running";
+  const mine = running && news.kind !== "advise";
+  $("job").hidden = !mine;
+  $("stop").hidden = !mine;
+  $("search").hidden = mine;
+  $("stop").textContent = news?.kind === "search" ? "Stop, keep the best" : "Cancel";
+  if (!news) return;
+  $("job-share").value = news.share;
+  $("job-note").textContent = mine ? `${{ search: "Searching", calibrate: "Estimating the motion", play: "Uploading" }[news.kind]}${news.note ? `: ${news.note}` : ""}` : "";
+  if (running && news.kind === "search" && news.best.bits && news.best.bits !== state.bits) change({ bits: news.best.bits, search: null }, { recorded: true });
+  if (running && news.kind === "calibrate" && news.best.preview) showPhoto(`/api/photo/${state.photo}`);
+  if (running || news.number <= handled) return;
+  handled = news.number;
+  remember("studio-handled", handled);
+  if (news.state === "failed") { complain(new Refused(news.error.field, news.error.message), ["job"]); return; }
+  calm("job");
+  if (news.state === "done") ({ search: searched, calibrate: calibrated, advise: advised, play: played })[news.kind](news.result);
+  if (news.kind !== "advise") { adviceAsked = ""; followAdvice(); }
+}
+
+function searched(found) {
+  change({ bits: found.bits, search: found.stopped === "steps" ? { steps: found.steps, seed: found.seed } : null }, { recorded: true });
+  $("job-note").textContent = "";
+}
+
+function calibrated(found) {
+  estimate = found;
+  remember("studio-estimate", estimate);
+  change({ motion: pathOf(found.paths[0]) });
+}
+
+function advised(found) {
+  if (adviceAsked !== adviceKey()) return; // of a setting that has changed since
+  advice = { ...found, key: adviceAsked };
+  remember("studio-advice", advice);
+  showAdvice();
+  drawVerdict();
+  drawPins();
+}
+
+function showAdvice() {
+  $("gains-line").textContent = advice.crossover.length ? "Shaded: a code pays." : "A code pays at none of these.";
+  drawGains($("gains"), advice);
+}
+
+function played(found) {
+  const said = [`${found.port}: ${found.meaning}${found.armed ? `, armed for ${found.lease_ms} ms` : ""}.`, ...found.warnings.map(sentence)];
+  if (found.edges_ns.length) {
+    said.push(`Its ${found.edges_ns.length} edges as played are under the strip.`);
+    drawPlayed($("played"), found.edges_ns, shown.code.chip_ns * shown.code.chips);
+  }
+  $("play-line").textContent = said.join(" ");
+}
+
+async function begin(kind, more = {}) {
+  calm("job");
+  $("job").hidden = false;
+  $("job-note").textContent = "starting";
+  try {
+    await post("job", { page, kind, setting: settingOf(state), ...more });
+  } catch (error) {
+    $("job").hidden = true;
+    complain(error, ["job"]);
+  }
+}
+
+// -- photos, files ----------------------------------------------------------------------------------------------------------
+
+function showPhoto(address) {
+  const image = $("photo-image");
+  if (image.src.endsWith(address)) return;
+  image.onerror = () => { image.hidden = true; $("drop").classList.remove("filled"); };
+  image.src = address;
+  image.hidden = false;
+  $("drop").classList.add("filled");
+}
+
+async function takePhoto(file) {
+  calm("photo");
+  estimate = null;
+  showPhoto(URL.createObjectURL(file));
+  try {
+    const { photo } = await ask("/api/upload/photo", { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: file });
+    change({ photo });
+    await begin("calibrate", { photo });
+  } catch (error) {
+    $("photo-image").hidden = true;
+    $("drop").classList.remove("filled");
+    complain(error, ["photo"]);
+  }
+}
+
+async function openFile(file) {
+  calm("file");
+  try {
+    const found = await ask("/api/upload/document", { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: file });
+    if (found.state) change({ ...structuredClone(DEFAULTS), ...found.state });
+    if (found.bits) change({ bits: found.bits, exposure: found.exposure, search: null });
+    if (found.paths) takePaths(found);
+  } catch (error) { complain(error, ["file"]); }
+}
+
+async function openGyro(file) {
+  calm("gyro");
+  const query = new URLSearchParams(["focal", "start", "exposure"].map((name) => [name, $(`gyro_${name}`).value]));
+  try {
+    takePaths(await ask(`/api/upload/gyro?${query}`, { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: file }));
+  } catch (error) { complain(error, ["gyro"]); }
+}
+
+function takePaths(found) {
+  estimate = { paths: found.paths, warnings: [] };
+  remember("studio-estimate", estimate);
+  $("photo-image").hidden = true;
+  change({ motion: pathOf(found.paths[0]), photo: "" });
+}
+
+function download(name, text, kind = "text/plain") {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([text], { type: kind }));
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
+// -- memory of this tab -----------------------------------------------------------------------------------------------------
+
+function remembered(name) { try { return JSON.parse(sessionStorage.getItem(name)); } catch { return null; } }
+function remember(name, what) { try { sessionStorage.setItem(name, JSON.stringify(what)); } catch { /* it is only a comfort */ } }
+function named(name, makeIt) { const found = remembered(name) ?? makeIt(); remember(name, found); return found; }
+
+// -- hands ------------------------------------------------------------------------------------------------------------------
+
+const number = (id) => ($(id).value.trim() === "" ? null : Number($(id).value));
+const on = (id, event, does) => $(id).addEventListener(event, does);
+
+function pinCode(name, bits) {
+  let free = name;
+  for (let i = 2; state.pins.some((pin) => pin.name === free); i++) free = `${name} ${i}`;
+  change({ pins: [...state.pins, { name: free.replaceAll("=", " "), bits }].slice(-10) });
+}
+
+function resized(count) {
+  const { bits } = state, chips = Math.min(Math.max(Math.round(count) || 2, 2), 512);
+  // every new chip shows what the old code had at its time
+  const next = Array.from({ length: chips }, (_, i) => bits[Math.min(Math.floor(((i + 0.5) * bits.length) / chips), bits.length - 1)]).join("");
+  return next.includes("1") ? next : `1${next.slice(1)}`;
+}
+
+function shuffled(bits) {
+  const chips = [...bits];
+  for (let i = chips.length - 1; i > 0; i--) { const j = Math.floor(Math.random() * (i + 1)); [chips[i], chips[j]] = [chips[j], chips[i]]; }
+  return chips.join("");
+}
+
+function wire() {
+  on("chips", "change", () => change({ bits: resized(number("chips")), open: null, search: null }));
+  on("bits", "input", () => { const bits = $("bits").value.replace(/\s/g, ""); change({ bits, search: null }); });
+  const edits = {
+    invert: (bits) => { const other = [...bits].map((bit) => (bit === "1" ? "0" : "1")).join(""); return other.includes("1") ? other : bits; },
+    mirror: (bits) => [...bits].reverse().join(""),
+    left: (bits) => bits.slice(1) + bits[0],
+    right: (bits) => bits.at(-1) + bits.slice(0, -1),
+    random: shuffled,
+  };
+  for (const [id, edit] of Object.entries(edits)) on(id, "click", () => change({ bits: edit(state.bits), search: null }));
+  on("undo", "click", () => travel(past, future));
+  on("redo", "click", () => travel(future, past));
+  document.addEventListener("keydown", (event) => {
+    if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== "z" || event.target.matches("input, textarea")) return;
+    event.preventDefault();
+    if (event.shiftKey) travel(future, past); else travel(past, future);
+  });
+  on("published", "change", () => {
+    const found = known.published.find((one) => one.name === $("published").value);
+    $("published").value = "";
+    if (found) change({ bits: found.bits, open: null, search: null });
+  });
+  on("pin", "click", () => pinCode(known.published.find((one) => one.bits === state.bits)?.name ?? `code ${state.pins.length + 1}`, state.bits));
+  for (const name of ["length", "angle"]) {
+    for (const id of [name, `${name}-range`]) on(id, "input", () => change({ motion: { ...state.motion, [name]: number(id) } }));
+  }
+  on("motion-kind", "change", () => {
+    const [kind, name] = $("motion-kind").value.split(":");
+    const length = shown ? Math.round(shown.motion.length_px) : 40;
+    if (kind === "straight") change({ motion: { kind, length, angle: 0 } });
+    else if (kind === "example") change({ motion: { kind, name } });
+    else if (estimate) change({ motion: pathOf(estimate.paths[0]) });
+  });
+  on("camera", "change", () => change({ camera: $("camera").value, photons: null, read_noise: null }));
+  on("photons", "input", () => change({ photons: number("photons") }));
+  on("photons-range", "input", () => change({ photons: Number((10 ** number("photons-range")).toPrecision(3)) }));
+  on("read_noise", "input", () => change({ read_noise: number("read_noise") }));
+  on("exposure", "input", () => change({ exposure: $("exposure").value.trim() }));
+  on("device", "change", () => change({ device: $("device").value }));
+  for (const id of ["open-low", "open-high"]) on(id, "input", () => {
+    const low = number("open-low"), high = number("open-high");
+    change({ open: low === null && high === null ? null : [low ?? 1, high ?? state.bits.length] });
+  });
+  for (const name of ["min_open", "max_open", "min_closed", "max_pulses"]) on(name, "input", () => change({ [name]: number(name) }));
+  for (const radio of document.getElementsByName("view")) radio.addEventListener("change", () => change({ view: radio.value }));
+  on("search", "click", () => { record(); begin("search", { steps: Number($("effort").value), seed: 0 }); });
+  on("stop", "click", () => post("stop", { page }).catch((error) => complain(error, ["job"])));
+  on("photo-file", "change", () => { if ($("photo-file").files[0]) takePhoto($("photo-file").files[0]); $("photo-file").value = ""; });
+  on("try", "click", async () => {
+    calm("photo");
+    try {
+      const { photo } = await ask("/api/example-photo", { method: "POST" });
+      estimate = null;
+      change({ photo });
+      await begin("calibrate", { photo });
+    } catch (error) { complain(error, ["photo"]); }
+  });
+  on("gyro-file", "change", () => { if ($("gyro-file").files[0]) openGyro($("gyro-file").files[0]); });
+  on("open_file", "change", () => { if ($("open_file").files[0]) openFile($("open_file").files[0]); $("open_file").value = ""; });
+  const drop = $("drop");
+  for (const name of ["dragenter", "dragover"]) document.addEventListener(name, (event) => { event.preventDefault(); drop.classList.add("over"); });
+  document.addEventListener("dragleave", (event) => { if (!event.relatedTarget) drop.classList.remove("over"); });
+  document.addEventListener("drop", (event) => {
+    event.preventDefault();
+    drop.classList.remove("over");
+    const [file] = event.dataTransfer.files;
+    if (!file) return;
+    if (/\.json$/i.test(file.name)) openFile(file);
+    else if (/\.(csv|tsv|txt)$/i.test(file.name)) openGyro(file);
+    else takePhoto(file);
+  });
+  on("export", "click", async () => {
+    try {
+      const { name, text } = await post("export", { setting: settingOf(state), format: $("format").value });
+      calm("format");
+      download(name, text);
+    } catch (error) { complain(error, ["format"]); }
+  });
+  on("play", "click", () => { calm("port"); begin("play", { port: $("port").value, arm: true }); });
+  on("port", "focus", async () => {
+    const { ports } = await ask("/api/ports").catch(() => ({ ports: [] }));
+    const chosen = $("port").value;
+    $("port").replaceChildren(new Option("emulated Uno", "emulated"), ...ports.map((one) => new Option(one.name, one.name)));
+    $("port").value = [...$("port").options].some((one) => one.value === chosen) ? chosen : "emulated";
+  });
+  on("save", "click", async () => {
+    try {
+      const document = await post("save", { setting: settingOf(state), state });
+      download("studio.json", `${JSON.stringify(document, null, 1)}\n`, "application/json");
+    } catch (error) { complain(error, ["file"]); }
+  });
+  on("copy", "click", async () => {
+    await navigator.clipboard?.writeText(location.href).catch(() => {});
+    $("copy").textContent = "Copied";
+    setTimeout(() => { $("copy").textContent = "Copy address"; }, 1200);
+  });
+  addEventListener("hashchange", () => { state = fromAddress(location.hash); fill(); follow(); });
+  let resizing = 0;
+  addEventListener("resize", () => { cancelAnimationFrame(resizing); resizing = requestAnimationFrame(() => { if (shown) draw(); if (advice) showAdvice(); drawEstimate(); }); });
+}
+
+async function start() {
+  fill();
+  wire();
+  if (state.photo) showPhoto(`/api/photo/${state.photo}`);
+  follow();
+  known = await ask("/api/start");
+  const opened = await ask("/api/opened").catch(() => ({}));
+  $("camera").replaceChildren(new Option("standard, 12 bit", ""), ...known.cameras.map((one) => new Option(one.name, one.name)));
+  $("device").append(...known.devices.map((one) => new Option(one.name, one.name)));
+  $("format").replaceChildren(...known.formats.map((one) => new Option(`${one.name}: ${one.about}`, one.name)));
+  $("published").append(...known.published.map((one) => new Option(`${one.name} (${one.bits.length})`, one.name)));
+  for (const one of known.examples) $("motion-kind").append(new Option(`example: ${one.about}`, `example:${one.name}`));
+  if (opened.state && !location.hash) state = { ...structuredClone(DEFAULTS), ...opened.state };
+  if (advice) showAdvice();
+  change({}, { recorded: true });
+  listen();
+}
+
+start().catch((error) => complain(error instanceof Refused ? error : new Refused("page", String(error))));

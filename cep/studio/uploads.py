@@ -1,0 +1,106 @@
+"""Files that pages send: streamed into a folder of the server's own, under names of its own making, few at a time."""
+
+from __future__ import annotations
+
+import secrets
+import tempfile
+from collections.abc import AsyncIterator, Callable, Mapping
+from pathlib import Path
+
+from cep.studio.state import FieldError
+
+__all__ = ["Uploads"]
+
+_KEPT = 8  # photos; the oldest goes first
+_PHOTOS: Mapping[str, Callable[[bytes], bool]] = {
+    ".jpg": lambda head: head.startswith(b"\xff\xd8\xff"),
+    ".png": lambda head: head.startswith(b"\x89PNG\r\n\x1a\n"),
+    ".tif": lambda head: head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
+    ".webp": lambda head: head[:4] == b"RIFF" and head[8:12] == b"WEBP",
+}
+_HEAD = 16
+
+
+class Uploads:
+    """Folder of a run's uploads, removed with :meth:`close`.
+
+    A client names a file by the key that it was given, which is looked up and is no part of any path.
+    """
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="cep-studio-")
+        self._photos: dict[str, Path] = {}
+
+    @property
+    def folder(self) -> Path:
+        """Where they are."""
+        return Path(self._folder.name)
+
+    async def photo(self, chunks: AsyncIterator[bytes]) -> str:
+        """Keep a photo and return its key; what is no photo, or breaks off, leaves nothing behind.
+
+        Raises
+        ------
+        FieldError
+            If it is no PNG, JPEG, TIFF or WebP file.
+        """
+        key = secrets.token_hex(16)
+        partial = self.folder / f"{key}.part"
+        try:
+            head = await _streamed(chunks, partial)
+            suffix = next((suffix for suffix, is_kind in _PHOTOS.items() if is_kind(head)), None)
+            if suffix is None:
+                raise FieldError("photo", "a photo is a PNG, JPEG, TIFF or WebP file; this file is none of them")
+            self._photos[key] = partial.rename(self.folder / f"{key}{suffix}")
+        finally:
+            partial.unlink(missing_ok=True)
+        while len(self._photos) > _KEPT:
+            self._forget(next(iter(self._photos)))
+        return key
+
+    async def text(self, chunks: AsyncIterator[bytes], suffix: str) -> Path:
+        """Keep a text for as long as it is read; the caller removes it."""
+        partial = self.folder / f"{secrets.token_hex(16)}{suffix}"
+        try:
+            await _streamed(chunks, partial)
+        except BaseException:
+            partial.unlink(missing_ok=True)
+            raise
+        return partial
+
+    def add(self, content: bytes, suffix: str) -> str:
+        """Keep a photo that the server made."""
+        key = secrets.token_hex(16)
+        self._photos[key] = self.folder / f"{key}{suffix}"
+        self._photos[key].write_bytes(content)
+        return key
+
+    def path(self, key: object) -> Path:
+        """Return the file of a key.
+
+        Raises
+        ------
+        FieldError
+            If there is none.
+        """
+        found = self._photos.get(key) if isinstance(key, str) else None
+        if found is None or not found.is_file():
+            raise FieldError("photo", "this photo is no longer here: drop it again")
+        return found
+
+    def close(self) -> None:
+        """Remove everything."""
+        self._folder.cleanup()
+
+    def _forget(self, key: str) -> None:
+        for file in self.folder.glob(f"{self._photos.pop(key).stem}*"):
+            file.unlink(missing_ok=True)
+
+
+async def _streamed(chunks: AsyncIterator[bytes], path: Path) -> bytes:
+    head = b""
+    with path.open("wb") as file:
+        async for chunk in chunks:
+            head = (head + chunk[:_HEAD])[:_HEAD]
+            file.write(chunk)
+    return head

@@ -1,0 +1,238 @@
+"""Content of the page as JSON: the picture of a code, the verdict, restored photos, documents to save."""
+
+from __future__ import annotations
+
+import base64
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import cep
+from cep.io.files import StoredCode, code_document, plain
+from cep.io.formatting import duration
+from cep.io.images import encode_image
+from cep.studio.state import FieldError, Setting, path_fields
+from cep.workflows import catalogue
+from cep.workflows.demo_scene import bundled_picture
+from cep.workflows.live import LiveBench, broken_limits
+from cep.workflows.shutter import export_code
+
+__all__ = ["Views", "start_view"]
+
+FloatArray = NDArray[np.float64]
+
+STUDIO_SCHEMA = "cep.studio/1"
+_BENCHES = 6  # motions, cameras and shutters kept; a few MB each
+_SCENE_PX = 256
+_FLOOR_DB = 50.0  # of the map's 8 bits
+_WORDS = {
+    "open": "open shutter",
+    "snapshot": "best single exposure",
+    "strobe": "best even pulses",
+    "code": "best code",
+}
+
+
+class Views:
+    """Views of settings; what only depends on motion, camera and shutter is kept from one code to the next."""
+
+    def __init__(self) -> None:
+        self._benches: OrderedDict[str, LiveBench] = OrderedDict()
+        self._keeping = threading.Lock()
+
+    def picture(self, setting: Setting, *, steps: int | None = None, seed: int = 0) -> dict[str, Any]:
+        """Return all that follows a chip: figures, MTF in one and two dimensions, limits that it breaks, commands.
+
+        Parameters
+        ----------
+        setting : Setting
+        steps, seed : int
+            Of the search that found the code.
+        """
+        bench, problem_error = self._bench(setting)
+        code = setting.code()
+        seen, opened = bench.figures(code), bench.opened
+        broken: tuple[str, ...] = ()
+        if problem_error is None:
+            broken = broken_limits(bench.problem, code, setting.profile)
+        path = setting.trajectory
+        return _plain(
+            {
+                "code": {
+                    "bits": code.bits, "chips": code.chips, "open": code.open_chips, "duty": code.duty,
+                    "openings": code.pulses, "chip_ns": code.chip_ns, "chip": duration(code.chip_ns * 1e-9),
+                    "exposure": duration(code.duration_ns * 1e-9), "broken": broken,
+                },
+                "motion": {
+                    "length_px": path.length_px, "extent_px": path.extent_px, "direction": path.direction,
+                    "path": path_fields(path), "both": bench.problem.both_directions(path),
+                    "angle_deg": float(np.degrees(np.arctan2(bench.axis[1], bench.axis[0]))),
+                },
+                "figures": seen.metrics.to_dict() | {"psnr_db": -seen.metrics.mse_db},
+                "open": opened.metrics.to_dict() | {"psnr_db": -opened.metrics.mse_db},
+                "curve": np.round(seen.curve, 5),
+                "open_curve": np.round(opened.curve, 5),
+                "map": _map(seen.band),
+                "open_map": _map(opened.band),
+                "commands": setting.commands(steps=steps, seed=seed),
+                "error": problem_error,
+            }
+        )  # fmt: skip
+
+    def photos(self, setting: Setting, scene: FloatArray | None, *, restored: bool, opened: bool) -> dict[str, Any]:
+        """Return the simulated photo through the code, or its restoration, and the open shutter's where asked for."""
+        bench, _ = self._bench(setting)
+        whole = _scene() if scene is None else scene
+        frame = len(bench.psf(cep.ShutterCode("1")))
+        side = min(_SCENE_PX + frame - 1, *whole.shape[:2])
+        if side < frame + 64:
+            raise FieldError("scene", f"the motion spans {frame} px, too far for this scene of {side} px")
+        top, left = ((length - side) // 2 for length in whole.shape[:2])
+        part = whole[top : top + side, left : left + side]
+        found = {}
+        wanted = {"code": setting.code(), **({"open": cep.ShutterCode("1" * setting.chips)} if opened else {})}
+        for name, code in wanted.items():
+            photo = bench.photo(code, part)
+            shown = bench.restored(code, photo) if restored else photo / max(code.duty, 1e-6)
+            found[name] = _jpeg(shown)
+        return found
+
+    def verdict(self, setting: Setting) -> dict[str, Any]:
+        """Return what to do with this code at this light, and the ways to expose that it is compared with."""
+        bench, error = self._bench(setting)
+        if error is not None:
+            raise FieldError(error["field"], error["message"])
+        try:
+            judged = bench.verdict(setting.code())
+        except ValueError as wrong:
+            raise FieldError.of(wrong, fallback="photons") from None
+        best = {kind: judged.best(kind) for kind in ("open", "snapshot", "strobe")}
+        own = next(way for way in judged.ways if way.code.bits == setting.bits)
+        return _plain(
+            {
+                "sentence": judged.sentence,
+                "choice": judged.choice,
+                "gains_db": judged.gains_db,
+                "psnr_db": own.psnr_db,
+                "ways": [{"name": _WORDS[kind], **way.to_dict()} for kind, way in best.items() if way is not None],
+            }
+        )
+
+    def compared(self, setting: Setting, pins: Mapping[str, str]) -> dict[str, Any]:
+        """Return the figures and curves of codes pinned beside the page's, by their names."""
+        bench, _ = self._bench(setting)
+        rows = {}
+        for name, bits in pins.items():
+            if len(bits) != setting.chips:
+                continue  # of another number of chips: shown without figures
+            seen = bench.figures(setting.code(bits))
+            rows[name] = {
+                "bits": bits, "open": bits.count("1"), "curve": np.round(seen.curve, 5), **seen.metrics.to_dict(),
+                "psnr_db": -seen.metrics.mse_db,
+            }  # fmt: skip
+        return _plain({"pins": rows})
+
+    def exported(self, setting: Setting, file_format: object) -> dict[str, Any]:
+        """Return the code as a timed program: the name of the file and its text."""
+        try:
+            name, text = export_code(setting.code(), str(file_format)[:40], device=setting.profile)
+        except ValueError as error:
+            raise FieldError("format", str(error)) from None
+        return {"name": name, "text": text}
+
+    def saved(self, setting: Setting, state: Mapping[str, Any]) -> dict[str, Any]:
+        """Return everything as one document: the page's state, motion, code with its certificate, and the commands."""
+        bench, _ = self._bench(setting)
+        code, path = setting.code(), setting.trajectory
+        along = None if bench.problem.on_circle else path
+        proven = cep.certify(code, along)
+        metrics = bench.figures(code).metrics
+        search = state.get("search")
+        steps, seed = (search.get("steps"), search.get("seed", 0)) if isinstance(search, dict) else (None, 0)
+        samples = {name: getattr(path, name) for name in "txy"}
+        return _plain(
+            {
+                "schema": STUDIO_SCHEMA,
+                "state": state,
+                "trajectory": {
+                    "schema": "cep.trajectory/1", "units": "px", "direction": path.direction, **samples,
+                    "weight": 1.0, "alternatives": [], "source": {"method": setting.motion["kind"]},
+                },
+                "code": code_document(StoredCode(code, metrics.to_dict(), {}, proven.to_dict())),
+                "commands": setting.commands(
+                    steps=steps if isinstance(steps, int) else None, seed=seed if isinstance(seed, int) else 0
+                ),
+            }
+        )  # fmt: skip
+
+    def _bench(self, setting: Setting) -> tuple[LiveBench, dict[str, str] | None]:
+        """Return the bench of a setting, and the error of its limits where there is one: codes are measured anyway."""
+        error = None
+        try:
+            problem = setting.problem()
+        except FieldError as wrong:
+            error = {"field": wrong.field, "message": str(wrong)}
+            problem = setting.problem(limited=False)
+        with self._keeping:
+            if (bench := self._benches.get(setting.key)) is not None:
+                self._benches.move_to_end(setting.key)
+                return bench, error
+        try:
+            bench = LiveBench(problem)
+        except ValueError as wrong:
+            raise FieldError.of(wrong, fallback="motion") from None
+        with self._keeping:
+            self._benches[setting.key] = bench
+            while len(self._benches) > _BENCHES:
+                self._benches.popitem(last=False)
+        return bench, error
+
+
+def start_view() -> dict[str, Any]:
+    """Return what can be chosen: cameras, shutters, published codes, example motions, formats."""
+    return _plain(
+        {
+            "version": cep.__version__,
+            "cameras": [
+                {
+                    "name": choice.name, "about": choice.about, "photons": camera.photons_full_scale,
+                    "read_noise": camera.read_noise_e, "bits": camera.bits,
+                }
+                for choice, camera in catalogue.cameras()
+            ],
+            "devices": catalogue.devices(),
+            "formats": catalogue.formats(),
+            "examples": catalogue.example_motions(),
+            "published": [{"name": name, "bits": cep.load_code(name).bits} for name, _ in catalogue.published_chips()],
+        }
+    )  # fmt: skip
+
+
+@cache
+def _scene() -> FloatArray:
+    """Part of the bundled picture with the face in its middle."""
+    return bundled_picture()[:384, 40:424]
+
+
+def _map(band: FloatArray) -> dict[str, Any]:
+    return {"rows": band.shape[0], "columns": band.shape[1], "db": _decibels(band)}
+
+
+def _decibels(band: FloatArray) -> str:
+    """MTF as text: one byte each, 255 for 1 and 0 for the floor, in decibels."""
+    levels = 1 + 20 * np.log10(np.maximum(band, 1e-9)) / _FLOOR_DB
+    return base64.b64encode(np.rint(255 * np.clip(levels, 0, 1)).astype(np.uint8).tobytes()).decode()
+
+
+def _plain(fields: Mapping[str, Any]) -> dict[str, Any]:
+    found: dict[str, Any] = plain(fields)
+    return found
+
+
+def _jpeg(image: FloatArray) -> str:
+    return "data:image/jpeg;base64," + base64.b64encode(encode_image(image, ".jpg")).decode()

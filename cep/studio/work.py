@@ -1,0 +1,189 @@
+"""Work of the jobs, each in its own process: the motion of a photo, a search, the verdict over the light, a play."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cep.io.files import plain
+from cep.studio.state import FieldError, path_fields, read_setting
+
+__all__ = ["KINDS", "Kind", "run"]
+
+Order = Mapping[str, Any]
+Tell = Callable[..., None]
+_EVERY_S = 0.1  # between two messages of progress
+_PREVIEW_PX, _SCENE_PX = 1600, 420
+_CALM = 5  # niceness: the page goes first
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of job.
+
+    Attributes
+    ----------
+    do : callable
+        Takes the order and a function that tells the page of its progress; returns the result.
+    name : str
+        What the page calls it.
+    keeps_best : bool
+        Whether a stop is a result: the best so far.
+    gives_way : bool
+        Whether it was started by the page itself, and ends when another job is asked for.
+    needs_rest : bool
+        Whether it must not be ended without closing a shutter.
+    """
+
+    do: Callable[[Order, Tell], Mapping[str, Any]]
+    name: str
+    keeps_best: bool = False
+    gives_way: bool = False
+    needs_rest: bool = False
+
+
+def run(kind: str, order: Order, pipe: Connection) -> None:
+    """Do one job and tell the page of it through the pipe; the entry of the job's process."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with suppress(OSError, AttributeError):
+        os.nice(_CALM)
+    last = 0.0
+
+    def tell(share: float | None = None, note: str | None = None, **more: Any) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if more or now - last > _EVERY_S:
+            last = now
+            known = {"share": share, "note": note, **more}
+            pipe.send({name: plain(value) for name, value in known.items() if value is not None})
+
+    try:
+        result = KINDS[kind].do(order, tell)
+        pipe.send({"state": "done", "share": 1.0, "note": "", "result": plain(result)})
+    except KeyboardInterrupt:
+        pipe.send({"state": "stopped"})
+    except ValueError as error:
+        wrong = FieldError.of(error, fallback="job")
+        pipe.send({"state": "failed", "error": {"field": wrong.field, "message": str(wrong)}})
+    except BrokenPipeError:  # the server is gone
+        pass
+    except Exception as error:  # whatever it is, the page says so, and the server goes on
+        message = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        with suppress(OSError):
+            pipe.send({"state": "failed", "error": {"field": "job", "message": message}})
+    finally:
+        pipe.close()
+
+
+def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
+    import cep
+    from cep.io.images import encode_image, read_photo
+    from cep.plots.canvas import thumbnail
+    from cep.workflows.sharpen import sharpen
+
+    path = Path(order["path"])
+    tell(0.0, "reading the photo")
+    try:
+        photo = read_photo(path)
+    except ValueError as error:  # its name is the server's, and says nothing
+        raise FieldError("photo", str(error).replace(f"{path}: ", "").replace(str(path), "the photo")) from None
+    pixels = photo.pixels
+    shown = thumbnail(pixels, _PREVIEW_PX)
+    path.with_name(f"{path.stem}_preview.jpg").write_bytes(encode_image(shown, ".jpg"))
+    height, width = pixels.shape[:2]
+    tell(0.02, "searching the motion", best={"preview": True, "width": width, "height": height})
+    try:
+        found = cep.estimate_motion(
+            pixels, method=order.get("method", "motdiff"), progress=lambda share, what: tell(0.02 + 0.8 * share, what)
+        )
+    except ValueError as error:
+        raise FieldError("photo", str(error).removeprefix("photo: ")) from None
+    tell(0.85, "restoring a part of the photo")
+    side = min(_SCENE_PX, height, width)
+    top, left = (height - side) // 2, (width - side) // 2
+    part = np.asarray(pixels[top : top + side, left : left + side], dtype=np.float64)
+    scene = sharpen(part, found)
+    np.save(path.with_name(f"{path.stem}_scene.npy"), np.clip(scene.image, 0, 1).astype(np.float32))
+    paths = [
+        {"weight": weight, "length_px": one.length_px, "extent_px": one.extent_px, **path_fields(one)}
+        for weight, one in zip(found.weights, found.trajectories, strict=True)
+    ]
+    return {
+        "method": found.method, "confidence": found.confidence, "paths": paths, "width": width, "height": height,
+        "warnings": [*photo.warnings, *found.warnings], "summary": scene.summary,
+    }  # fmt: skip
+
+
+def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
+    import cep
+
+    setting = read_setting(order["setting"])
+    problem = setting.problem()
+    steps, seed = order.get("steps"), order.get("seed", 0)
+    steps = steps if isinstance(steps, int) and 1 <= steps <= 10**9 else None
+    seed = seed if isinstance(seed, int) and 0 <= seed < 2**32 else 0
+    share_note: list[Any] = [0.0, ""]
+
+    def best(code: cep.ShutterCode) -> None:
+        tell(share_note[0], share_note[1], **({"best": {"bits": code.bits}} if code.bits != last[0] else {}))
+        last[0] = code.bits
+
+    def progress(share: float, note: str) -> None:
+        share_note[:] = share, note
+        tell(share, note)
+
+    last = [""]
+    tell(0.0, "measuring what is used instead")
+    found = cep.optimize(problem, steps=steps, seed=seed, threads=1, progress=progress, on_best=best)
+    return {
+        "bits": found.code.bits, "sentence": found.verdict.sentence, "steps": found.found.steps, "seed": seed,
+        "stopped": found.found.stopped, "seconds": found.found.seconds, "warnings": found.warnings,
+    }  # fmt: skip
+
+
+def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
+    import cep
+
+    setting = read_setting(order["setting"])
+    found = cep.advise(setting.problem(), setting.code(), threads=1, progress=lambda share, note: tell(share, note))
+    return found.to_dict() | {"where": found.where, "sentence": found.here.sentence}
+
+
+def _play(order: Order, tell: Tell) -> Mapping[str, Any]:
+    import cep
+    from cep.workflows.shutter import play_emulated
+
+    setting = read_setting(order["setting"])
+    code, port = setting.code(), order["port"]
+    if port == "emulated":
+        tell(0.1, "starting the emulated controller")
+        played = play_emulated(code, profile=setting.profile)
+        report, edges = played.report, played.edges_ns
+    else:
+        tell(0.1, "opening the controller")
+        with cep.open_shutter(port) as shutter:
+            tell(0.4, "loading and reading back")
+            report, edges = shutter.upload(code, profile=setting.profile, arm=bool(order.get("arm"))), ()
+    return {
+        "firmware": report.firmware, "trust": report.trust.value, "meaning": report.trust.meaning,
+        "read_back": report.read_back, "armed": report.armed, "lease_ms": report.lease_ms, "edges_ns": edges,
+        "warnings": report.warnings, "seconds": report.seconds, "port": "the emulated Uno" if edges else report.port,
+    }  # fmt: skip
+
+
+KINDS: Mapping[str, Kind] = {
+    "calibrate": Kind(_calibrate, "The search of a motion"),
+    "search": Kind(_search, "A search", keeps_best=True),
+    "advise": Kind(_advise, "The verdict over the light", gives_way=True),
+    "play": Kind(_play, "An upload", needs_rest=True),
+}
+"""Kinds of jobs by their names."""

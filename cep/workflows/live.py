@@ -1,0 +1,215 @@
+"""Figures, MTFs and simulated photos of one code after another along one motion, fast enough to follow a hand.
+
+What a code does not change is computed once and kept: the OTFs of the chips, and the ways to expose without a code.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.optics.camera import Camera
+from cep.optics.capture import capture
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.optics.path_limits import check_frame, check_resolved
+from cep.plots.codes import main_axis
+from cep.proofs.measure import CodeMetrics
+from cep.restoration.wiener import wiener
+from cep.search.limits import Limits, RunLimits
+from cep.search.problem import SearchProblem
+from cep.search.scenarios import coded_sum, distinct_rows, scenario_rows
+from cep.workflows.advise import Verdict, verdict_of
+from cep.workflows.ways import Way, WayFinder, check_light, judged_ways
+from hw.device import DeviceProfile
+from hw.program import Program
+
+__all__ = ["MAP_COLUMNS", "MAP_ROWS", "LiveBench", "LiveFigures", "broken_limits"]
+
+FloatArray = NDArray[np.float64]
+
+MAP_COLUMNS, MAP_ROWS = 97, 49
+"""Frequencies of the MTF's map: x from -0.5 to 0.5, y from 0 to 0.5 cycles/px; the other half is its mirror image."""
+
+_CURVE = 241  # frequencies along the main axis, 0..0.5 cycles/px
+_BORDER_ROUNDS = 4  # of the filter: the photo is looked at, not measured
+_BUDGET = 4_000  # cells of the proof of the minimum: milliseconds
+
+
+@dataclass(frozen=True)
+class LiveFigures:
+    """What is shown of a code.
+
+    Attributes
+    ----------
+    metrics : CodeMetrics
+        Worst of each figure over the directions that count. The lower bound of the minimum is proven.
+    curve : (F,) float
+        MTF along the motion's main axis, light-true, at :attr:`LiveBench.freq_cy_px`.
+    band : (MAP_ROWS, MAP_COLUMNS) float
+        MTF over half of the band.
+    """
+
+    metrics: CodeMetrics
+    curve: FloatArray
+    band: FloatArray
+
+
+class LiveBench:
+    """One motion, camera and shutter, at which codes are looked at one after the other.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        Of a single motion. Its limits count for the verdict alone.
+
+    Attributes
+    ----------
+    freq_cy_px : (F,) float
+        Frequencies of the curves.
+    axis : (2,) float
+        Unit vector of the main axis.
+
+    Raises
+    ------
+    ValueError
+        If the motion cannot be measured, or is too short for so many chips.
+
+    Examples
+    --------
+    >>> from motdiff.trajectory import Trajectory
+    >>> bench = LiveBench(SearchProblem.along(Trajectory.straight(20.0), chips=8))
+    >>> seen = bench.figures(ShutterCode("11100101"))
+    >>> f"{seen.curve[0]:.3f} {seen.metrics.min_chip:.3f}"
+    '0.625 0.913'
+    """
+
+    def __init__(self, problem: SearchProblem) -> None:
+        (scenario,) = problem.scenarios
+        check_frame(scenario.trajectory)
+        check_resolved(scenario.trajectory, problem.chips)
+        self.problem = problem
+        self.freq_cy_px = np.linspace(0, 0.5, _CURVE)
+        self.axis = main_axis(scenario.trajectory)
+        x, y = np.meshgrid(np.linspace(-0.5, 0.5, MAP_COLUMNS), np.linspace(0, 0.5, MAP_ROWS))
+        fx = np.concatenate([self.freq_cy_px * self.axis[0], x.ravel()])
+        fy = np.concatenate([self.freq_cy_px * self.axis[1], y.ravel()])
+        rows = scenario_rows(scenario, problem.chips, fx, fy, response=problem.response)
+        self._rows = distinct_rows(rows, problem.response).astype(np.complex64)
+        self._ways: list[ShutterCode] | None = None
+        self._finding = threading.Lock()
+
+    def figures(self, code: ShutterCode) -> LiveFigures:
+        """Measure a code.
+
+        Raises
+        ------
+        ValueError
+            If it has another number of chips.
+        """
+        metrics = self.problem.measure(code, budget=_BUDGET)
+        modulus = np.abs(coded_sum(self._rows, code.array[None])[0]).astype(np.float64)
+        return LiveFigures(metrics, modulus[:_CURVE], modulus[_CURVE:].reshape(MAP_ROWS, MAP_COLUMNS))
+
+    @cached_property
+    def opened(self) -> LiveFigures:
+        """The open shutter's."""
+        return self.figures(ShutterCode("1" * self.problem.chips))
+
+    def verdict(self, code: ShutterCode) -> Verdict:
+        """Judge a code beside the ways to expose without one, as :func:`cep.workflows.advise.verdict` does.
+
+        The first call for a motion finds these ways, which takes up to a second or two.
+
+        Raises
+        ------
+        ValueError
+            If even the shortest opening saturates at the camera's light, or no way keeps the limits.
+        """
+        check_light(self.problem)
+        with self._finding:
+            if self._ways is None:
+                self._ways = WayFinder(self.problem).ordinary(self.problem.camera)
+        return verdict_of(self.problem, self._ways, [code])
+
+    def way(self, code: ShutterCode) -> Way:
+        """Judge one code by the expected restoration."""
+        judged = judged_ways(self.problem, [self.problem.camera], [code], path_error_px=0.0)[0]
+        return next(way for way in judged if way.code.bits == code.bits)
+
+    def psf(self, code: ShutterCode) -> FloatArray:
+        """Light-true PSF of a code in the smallest odd frame that holds the motion."""
+        path = self.problem.scenarios[0].trajectory
+        return coded_psf(path, code, size=path.frame_size() | 1, response=self.problem.response)
+
+    def photo(self, code: ShutterCode, scene: ArrayLike, *, seed: int = 0) -> FloatArray:
+        """Simulate the photo of a scene; its noise is drawn alike for every code.
+
+        Parameters
+        ----------
+        code : ShutterCode
+        scene : (H, W) or (H, W, 3) array_like, linear light 0..1
+            Larger than the PSF.
+        seed : int
+
+        Returns
+        -------
+        (H - S + 1, W - S + 1[, 3]) float ndarray, linear light: a coded photo is darker
+        """
+        return capture(scene, self.psf(code), camera=self._camera(code), rng=np.random.default_rng(seed))
+
+    def restored(self, code: ShutterCode, photo: ArrayLike) -> FloatArray:
+        """Restore such a photo by a Wiener filter with the same PSF: what a motion that is known exactly allows."""
+        return wiener(photo, self.psf(code), camera=self._camera(code), border_rounds=_BORDER_ROUNDS)
+
+    def _camera(self, code: ShutterCode) -> Camera:
+        return self.problem.camera.with_dark_noise(ShutterCode(code.bits, self.problem.chip_ns).integration_ns * 1e-9)
+
+
+_WORDS = {
+    "open_range": "{open} chips are open; the limit is {low} to {high}",
+    "min_open": "an opening is shorter than {limit} chips",
+    "min_closed": "a gap is shorter than {limit} chips",
+    "max_open": "an opening is longer than {limit} chips",
+    "max_pulses": "the shutter opens {pulses} times; the limit is {limit}",
+    "min_period": "openings begin less than {limit} chips apart",
+    "fixed": "a chip that is fixed is changed",
+}
+
+
+def broken_limits(problem: SearchProblem, code: ShutterCode, device: DeviceProfile | None = None) -> tuple[str, ...]:
+    """List the limits that a code breaks, one sentence each; none where it can be played.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    code : ShutterCode
+    device : DeviceProfile, optional
+        Shutter that plays it; its own sentences come first.
+
+    Examples
+    --------
+    >>> from motdiff.trajectory import Trajectory
+    >>> problem = SearchProblem.along(Trajectory.straight(20.0), chips=8, open_range=(2, 4))
+    >>> broken_limits(problem, ShutterCode("11100101"))
+    ('5 chips are open; the limit is 2 to 4',)
+    """
+    said = list(device.check(Program.from_bits(code.bits, chip_ns=problem.chip_ns))) if device else []
+    if said or problem.allows(code):
+        return tuple(said)
+    bits, limits = code.array[None].astype(np.int8), problem.limits
+    low, high = limits.open_range
+    for name, words in _WORDS.items():
+        if name == "open_range":
+            alone = Limits(limits.chips, limits.open_range)
+        else:
+            kept = RunLimits(**{name: getattr(limits.runs, name)})
+            alone = replace(limits, open_range=(1, limits.chips), runs=kept)
+        if not alone.satisfied(bits)[0]:
+            limit = getattr(limits.runs, name, None)
+            said.append(words.format(open=code.open_chips, low=low, high=high, limit=limit, pulses=code.pulses))
+    return tuple(said)

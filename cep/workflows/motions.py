@@ -1,0 +1,43 @@
+"""Motions out of files: a trajectory with its alternatives, and one exposure of a gyroscope recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from motdiff.gyro import trajectory_from_gyro
+from motdiff.io.gyro_tables import read_gyro
+from motdiff.io.trajectories import read_motion
+from motdiff.trajectory import Trajectory
+
+__all__ = ["gyro_motion", "stored_paths"]
+
+
+def stored_paths(file: Path | str) -> tuple[tuple[float, Trajectory], ...]:
+    """Return the paths of a ``trajectory.json`` with their weights, the likeliest first.
+
+    Raises
+    ------
+    ValueError, OSError
+        As of :func:`motdiff.io.trajectories.read_motion`.
+    """
+    stored = read_motion(file)
+    return ((stored.weight, stored.trajectory), *stored.alternatives)
+
+
+def gyro_motion(file: Path | str, *, focal_px: float, start_s: float, exposure_s: float) -> Trajectory:
+    """Return the motion of one exposure of a recording.
+
+    Parameters
+    ----------
+    file : path of a table, see :func:`motdiff.io.gyro_tables.read_gyro`
+    focal_px : float
+        Focal length, px.
+    start_s, exposure_s : float
+        When on the recording's clock the shutter was open, and for how long, seconds.
+
+    Raises
+    ------
+    ValueError, OSError
+        If the file is no recording, or does not cover the exposure.
+    """
+    return trajectory_from_gyro(read_gyro(file), focal_px=focal_px, start_s=start_s, exposure_s=exposure_s)

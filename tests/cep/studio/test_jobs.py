@@ -1,0 +1,139 @@
+"""Jobs as a page sees them: real processes, one at a time, that end with their page."""
+
+import asyncio
+import os
+
+import pytest
+
+import cep
+from cep.studio import jobs as module
+from cep.studio.jobs import BusyError, Jobs
+
+PAGE, OTHER = "a" * 16, "b" * 16
+
+
+@pytest.fixture
+def setting():
+    return {
+        "motion": {"kind": "straight", "length": 16, "angle": 0}, "bits": "1101000111010110", "exposure": "20ms",
+        "camera": "video-8bit", "photons": 2000,
+    }  # fmt: skip
+
+
+def running(scenario):
+    """Run a scenario with jobs of its own in an event loop."""
+
+    async def whole():
+        jobs = Jobs()
+        try:
+            return await asyncio.wait_for(scenario(jobs), 120)
+        finally:
+            jobs.close()
+
+    return asyncio.run(whole())
+
+
+async def until(queue, wanted):
+    while True:
+        job = await queue.get()
+        if job is not None and wanted(job):
+            return job
+
+
+def gone(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+@pytest.mark.slow  # a process that loads the library, and a search
+def test_a_search_is_that_of_the_front_door(setting):
+    async def scenario(jobs):
+        queue = jobs.listen(PAGE)
+        jobs.start(PAGE, "search", {"setting": setting, "steps": 3000, "seed": 5})
+        return await until(queue, lambda job: job.state != "running")
+
+    done = running(scenario)
+    assert done.state == "done", done.error
+    light = cep.Camera.load("video-8bit").at(2000)
+    problem = cep.SearchProblem.along(
+        cep.Trajectory.straight(16.0), chips=16, exposure_s=0.02, camera=light, objective="mse"
+    )
+    meant = cep.optimize(problem, steps=3000, seed=5)
+    assert done.result["bits"] == meant.code.bits
+    assert done.result["sentence"] == meant.verdict.sentence
+    assert done.best["bits"].count("1") > 0
+
+
+@pytest.mark.slow  # a process that loads the library
+def test_one_job_at_a_time_and_an_automatic_one_gives_way(setting):
+    async def scenario(jobs):
+        jobs.listen(PAGE)
+        automatic = jobs.start(PAGE, "advise", {"setting": setting})
+        first = jobs._process.pid
+        search = jobs.start(PAGE, "search", {"setting": setting, "steps": 10**9})
+        assert automatic.state == "stopped"
+        assert gone(first)
+        for page, words in ((PAGE, "this page"), (OTHER, "another page")):
+            with pytest.raises(BusyError, match=words):
+                jobs.start(page, "search", {"setting": setting})
+        assert jobs.current(OTHER) is None
+        return search, jobs._process.pid
+
+    search, pid = running(scenario)
+    assert search.state == "stopped"  # with the server
+    assert gone(pid)
+
+
+@pytest.mark.slow  # a process that loads the library
+def test_a_search_that_is_stopped_keeps_its_best(setting):
+    async def scenario(jobs):
+        queue = jobs.listen(PAGE)
+        jobs.start(PAGE, "search", {"setting": {**setting, "bits": setting["bits"] * 3}, "steps": 10**9})
+        seen = await until(queue, lambda job: job.best.get("bits") and job.share > 0)
+        jobs.stop(PAGE)
+        return seen, await until(queue, lambda job: job.state != "running")
+
+    _, done = running(scenario)
+    assert done.state == "done"
+    assert done.result["stopped"] == "interrupted"
+    assert len(done.result["bits"]) == 48
+
+
+@pytest.mark.slow  # a process that loads the library
+def test_a_job_dies_with_its_page_but_not_when_it_is_loaded_again(setting, monkeypatch):
+    monkeypatch.setattr(module, "_GRACE_S", 0.2)
+
+    async def scenario(jobs):
+        queue = jobs.listen(PAGE)
+        job = jobs.start(PAGE, "search", {"setting": setting, "steps": 10**9})
+        pid = jobs._process.pid
+        jobs.leave(PAGE, queue)
+        again = jobs.listen(PAGE)
+        await asyncio.sleep(0.5)
+        assert job.state == "running"
+        jobs.leave(PAGE, again)
+        await asyncio.sleep(0.5)
+        return job, pid
+
+    job, pid = running(scenario)
+    assert job.state == "stopped"
+    assert gone(pid)
+
+
+@pytest.mark.slow  # a process that loads the library
+def test_wrong_work_is_one_line_and_no_crash(tmp_path):
+    bad = tmp_path / "0123.png"
+    bad.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(50))
+
+    async def scenario(jobs):
+        queue = jobs.listen(PAGE)
+        jobs.start(PAGE, "calibrate", {"path": str(bad)})
+        return await until(queue, lambda job: job.state != "running")
+
+    failed = running(scenario)
+    assert failed.state == "failed"
+    assert failed.error["field"] == "photo"
+    assert str(tmp_path) not in failed.error["message"]

@@ -1,0 +1,217 @@
+"""The studio in a headless Chromium: what a hand, a keyboard and a reload do, and nothing asked of anybody else."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from cep.io.images import encode_image
+from motdiff.simulate import blur_valid
+from motdiff.trajectory import Trajectory
+
+PHONE, DESK = 380, 1280
+pytestmark = pytest.mark.slow  # a server of its own, and a browser
+
+
+@pytest.fixture(scope="module")
+def address():
+    """Address of a studio in a process of its own, as the command starts it."""
+    command = [sys.executable, "-c", "from cep.cli.main import run; run()", "studio", "--no-browser", "--json"]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    told = ""
+    while not told.rstrip().endswith("}"):
+        told += server.stdout.readline()
+    yield json.loads(told)["address"]
+    server.send_signal(signal.SIGINT)
+    assert server.wait(15) == 0
+    server.stdout.close()
+
+
+@pytest.fixture
+def studio(browser, address):
+    """Open the studio in a window so wide; at the end check that it asked nobody else and raised no error."""
+    contexts, asked, errors = [], [], []
+
+    def open_page(width=DESK, state="", **options):
+        context = browser.new_context(viewport={"width": width, "height": 900}, **options)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("console", lambda message: errors.append(message.text) if "422" not in message.text else None)
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(address)
+        if state:
+            page.evaluate("state => { location.hash = state; }", state)
+        shown(page)
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert errors == []
+    home = urlsplit(address).netloc
+    assert {urlsplit(url).netloc for url in asked if not url.startswith(("data:", "blob:"))} == {home}
+
+
+def until(page, expression, seconds=60):
+    """Wait for an expression; the page's policy forbids Playwright's own way, which evaluates text in the page."""
+    ends = time.monotonic() + seconds
+    while not page.evaluate(expression):
+        assert time.monotonic() < ends, expression
+        time.sleep(0.02)
+
+
+def shown(page):
+    """Wait until everything shows the latest state."""
+    until(page, "['picture', 'photo', 'verdict'].every((one) => document.body.dataset[one] !== undefined)")
+    until(page, "window.latest = document.body.dataset.picture, document.body.dataset.photo === latest && "
+          "document.body.dataset.verdict === latest")  # fmt: skip
+
+
+def bits(page):
+    return dict(part.split("=", 1) for part in urlsplit(page.url).fragment.split("&"))["code"]
+
+
+def chip(page, number):
+    return page.locator("#strip button").nth(number - 1)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [PHONE, DESK, 3840])
+def test_nothing_scrolls_sideways(studio, width, scheme):
+    page = studio(width, color_scheme=scheme)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.locator("#sentence").inner_text().endswith(".")
+    assert page.locator("#f-psnr").inner_text().endswith("dB")
+
+
+def test_a_click_a_drag_and_keys_change_the_code_and_the_address(studio):
+    page = studio(state="code=1000000000000001&motion=straight:16:0")
+    before = page.locator("#f-psnr").inner_text()
+    chip(page, 3).click()
+    shown(page)
+    assert bits(page) == "1010000000000001"
+    assert page.locator("#f-psnr").inner_text() != before
+    begin, end = (chip(page, number).bounding_box() for number in (5, 8))
+    page.mouse.move(begin["x"] + 3, begin["y"] + 20)
+    page.mouse.down()
+    page.mouse.move(end["x"] + 3, end["y"] + 20, steps=2)
+    page.mouse.up()
+    assert bits(page) == "1010111100000001"
+    chip(page, 1).focus()
+    for key in ("ArrowRight", "Space", "End", "Space", "Shift+ArrowLeft"):
+        page.keyboard.press(key)
+    assert bits(page) == "1110111100000000"
+    assert chip(page, 2).get_attribute("aria-checked") == "true"
+    assert chip(page, 2).get_attribute("aria-label") == "chip 2 of 16, open"
+    page.locator("#undo").click()
+    page.locator("#undo").click()
+    assert bits(page) == "1110111100000001"
+    shown(page)
+
+
+def test_the_last_open_chip_stays(studio):
+    page = studio(state="code=0100&motion=straight:16:0")
+    chip(page, 2).click()
+    assert bits(page) == "0100"
+
+
+def test_the_address_is_the_state(studio):
+    page = studio()
+    page.locator("#length").fill("23.5")
+    page.locator("#camera").select_option("sony-imx250")
+    page.locator("#photons").fill("900")
+    page.locator("#open-low").fill("10")
+    page.locator("#pin").click()
+    page.locator("input[value=restored]").check(force=True)
+    shown(page)
+    other = studio(state=urlsplit(page.url).fragment)
+    for field, value in (("length", "23.5"), ("camera", "sony-imx250"), ("photons", "900"), ("open-low", "10")):
+        assert other.locator(f"#{field}").input_value() == value
+    assert other.locator("input[value=restored]").is_checked()
+    assert other.locator("#pins").get_by_text("raskar-52").count() == 1
+    for figure in ("#f-psnr", "#f-min", "#f-noise"):
+        assert other.locator(figure).inner_text() == page.locator(figure).inner_text()
+
+
+def test_wrong_input_is_told_beside_its_field_and_survives_a_reload(studio):
+    page = studio()
+    page.locator("#exposure").fill("soon")
+    until(page, "document.querySelector('.error[data-for=exposure]').textContent !== ''")
+    assert page.locator(".error[data-for=exposure]").inner_text() == (
+        "Must be a time above 0 as 1/30, 0.02, 20ms or 500us, got 'soon'."
+    )
+    page.reload()
+    until(page, "document.querySelector('.error[data-for=exposure]').textContent !== ''")
+    assert page.locator("#exposure").input_value() == "soon"
+    page.locator("#exposure").fill("20ms")
+    until(page, "document.querySelector('.error[data-for=exposure]').textContent === ''")
+    shown(page)
+
+
+def test_a_search_shows_its_best_and_can_be_stopped(studio):
+    page = studio(state="code=" + "10" * 20 + "&motion=straight:30:0")
+    before = bits(page)
+    page.locator("#effort").select_option("2000000")
+    page.locator("#search").click()
+    until(page, f"!location.hash.includes('code={before}')", 90)
+    page.locator("#stop").click()
+    until(page, "!document.getElementById('search').hidden", 90)
+    found = bits(page)
+    assert len(found) == len(before)
+    page.reload()
+    shown(page)
+    assert bits(page) == found  # a job that is over is not taken over again
+
+
+def test_two_pages_keep_to_themselves(studio):
+    one = studio(state="code=11010001&motion=straight:8:0")
+    two = studio(state="code=1011&motion=straight:4:0")
+    chip(one, 3).click()
+    chip(two, 2).click()
+    shown(one)
+    shown(two)
+    assert (bits(one), bits(two)) == ("11110001", "1111")
+
+
+def test_a_photo_gives_a_path_with_its_confidence(studio, tmp_path):
+    rng = np.random.default_rng(0)
+    scene = 0.1 + 0.8 * np.kron(rng.random((40, 44)), np.ones((7, 7)))
+    path = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
+    photo = tmp_path / "../blurred.png"
+    photo.write_bytes(encode_image(blur_valid(scene, path.psf(25)), ".png"))
+    page = studio()
+    page.locator("#photo-file").set_input_files(photo)
+    until(page, "location.hash.includes('motion=path:')", 120)
+    shown(page)
+    assert re.fullmatch(r"\d+ %", page.locator("#confidence-text").inner_text())
+    assert page.locator("#alternatives button").count() >= 1
+    assert page.locator("#photo-path path").count() == 2
+    page.reload()
+    shown(page)
+    assert page.locator("#alternatives button").count() >= 1
+    until(page, "document.getElementById('photo-image').naturalWidth > 0")
+    assert page.locator("#photo-image").is_visible()
+
+
+def test_what_is_saved_opens_again(studio, tmp_path):
+    page = studio(state="code=1101000111010110&motion=example:walk&camera=video-8bit&photons=2000")
+    with page.expect_download() as saving:
+        page.locator("#save").click()
+    saved = tmp_path / "studio.json"
+    saving.value.save_as(saved)
+    other = studio(state="code=11&motion=straight:9:0")
+    other.locator("#open_file").set_input_files(saved)
+    until(other, "location.hash.includes('code=1101000111010110')")
+    shown(other)
+    assert other.url.split("#")[1] == page.url.split("#")[1]
+    with page.expect_download() as exporting:
+        page.locator("#format").select_option("csv")
+        page.locator("#export").click()
+    assert exporting.value.suggested_filename == "code.csv"

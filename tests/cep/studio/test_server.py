@@ -1,0 +1,152 @@
+import base64
+import json
+
+import numpy as np
+import pytest
+from hostile_requests import hostile
+
+import cep
+from cep.io.images import encode_image
+
+
+def posted(client, name, **asked):
+    answer = client.post(f"/api/{name}", json=asked)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def test_the_page_and_its_files_are_served(client):
+    page = client.get("/")
+    assert page.headers["content-type"].startswith("text/html")
+    assert "http://" not in page.text
+    assert "https://" not in page.text
+    for name, kind in (("studio.js", "text/javascript"), ("studio.css", "text/css"), ("icon.svg", "image/svg+xml")):
+        assert client.get(f"/static/{name}").headers["content-type"].startswith(kind)
+
+
+def test_figures_are_those_of_the_library(client, setting):
+    found = posted(client, "picture", setting=setting)
+    path, code, camera = cep.Trajectory.straight(20.0), cep.ShutterCode(setting["bits"]), cep.Camera.load("video-8bit")
+    audit = cep.audit(code, path, camera=camera.at(2000), flips=0)
+    assert found["figures"]["noise_gain_db"] == pytest.approx(audit.metrics.noise_gain_db)
+    assert found["figures"]["mse_db"] == pytest.approx(audit.metrics.mse_db)
+    proven = cep.certify(code, path)
+    assert 0.999 * proven.lower <= found["figures"]["min_mtf_lower"] <= proven.upper
+    frequencies = np.linspace(0, 0.5, 241)
+    assert found["curve"] == pytest.approx(cep.mtf(path, code, frequencies, 0.0), abs=2e-5)
+    db = np.frombuffer(base64.b64decode(found["map"]["db"]), np.uint8).reshape(49, 97)
+    assert db[0, 48] == round(255 * (1 + 20 * np.log10(code.duty) / 50))  # the light, at zero frequency
+    assert found["code"]["chip_ns"] == 1_250_000
+
+
+def test_the_verdict_is_that_of_the_library(client, setting):
+    found = posted(client, "verdict", setting=setting)
+    from cep.studio.state import read_setting
+    from cep.workflows.advise import verdict
+
+    read = read_setting(setting)
+    assert found["sentence"] == verdict(read.problem(), read.code()).sentence
+    assert [way["name"] for way in found["ways"]][:2] == ["open shutter", "best single exposure"]
+
+
+def test_photos_are_pictures_that_differ(client, setting):
+    taken, restored = (posted(client, "photos", setting=setting, restored=restored) for restored in (False, True))
+    for photo in (*taken.values(), *restored.values()):
+        assert photo.startswith("data:image/jpeg;base64,")
+    assert len({*taken.values(), *restored.values()}) == 4
+    assert set(posted(client, "photos", setting=setting, open=False)) == {"code"}
+
+
+def test_a_code_that_breaks_a_limit_is_measured_and_named(client, setting):
+    found = posted(client, "picture", setting={**setting, "open": [2, 4]})
+    assert found["code"]["broken"] == ["9 chips are open; the limit is 2 to 4"]
+    assert found["error"] is None
+
+
+def test_limits_that_no_code_keeps_are_told_beside_their_field(client, setting):
+    found = posted(client, "picture", setting={**setting, "device": "mechanical"})
+    assert found["error"]["field"] == "device"
+    assert found["figures"]["psnr_db"] > 0
+    refused = client.post("/api/verdict", json={"setting": {**setting, "device": "mechanical"}})
+    assert refused.status_code == 422
+    assert refused.json()["error"]["field"] == "device"
+
+
+def test_pins_are_compared_at_equal_length(client, setting):
+    pins = {"mirror": setting["bits"][::-1], "short": "101"}
+    found = posted(client, "compare", setting=setting, pins=pins)["pins"]
+    assert set(found) == {"mirror"}
+    assert found["mirror"]["mse_db"] == pytest.approx(posted(client, "picture", setting=setting)["figures"]["mse_db"])
+
+
+@pytest.mark.parametrize(
+    "file_format", ["csv", "json", "vcd", "c", "arduino", "rp2", "pulsepal", "scpi", "camera", "dmd"]
+)
+def test_every_format_is_exported(client, setting, file_format):
+    answer = client.post("/api/export", json={"setting": setting, "format": file_format})
+    if answer.status_code == 422:  # what a format cannot hold is one sentence beside it
+        assert answer.json()["error"]["field"] == "format"
+    else:
+        assert answer.json()["text"]
+
+
+def test_a_document_is_opened_by_what_it_is(client, setting):
+    saved = posted(client, "save", setting=setting, state={"bits": setting["bits"]})
+    for part, key in (("trajectory", "paths"), ("code", "bits")):
+        found = client.post("/api/upload/document", content=json.dumps(saved[part]).encode())
+        assert key in found.json(), found.text
+    assert client.post("/api/upload/document", content=json.dumps(saved).encode()).json()["state"] == saved["state"]
+    wrong = client.post("/api/upload/document", content=b'{"schema": "cep.code/1", "bits": "2"}')
+    assert wrong.status_code == 422
+    assert "/tmp" not in wrong.text  # the server's own names are nobody's business
+    assert "cep-studio" not in wrong.text
+
+
+def test_a_gyroscope_gives_a_motion_of_known_direction(client):
+    rows = "\n".join(f"{i * 1e-3:.4f},0,{0.2:.3f},0" for i in range(101))
+    found = client.post(
+        "/api/upload/gyro?focal=1000&start=0.01&exposure=0.05", content=f"t_s,wx,wy,wz\n{rows}\n".encode()
+    )
+    (path,) = found.json()["paths"]
+    assert path["length_px"] == pytest.approx(1000 * 0.2 * 0.05, rel=0.01)
+    assert path["direction"] == "known"
+    late = client.post("/api/upload/gyro?focal=1000&start=9&exposure=0.05", content=f"t_s,wx,wy,wz\n{rows}\n".encode())
+    assert late.json()["error"]["field"] == "gyro"
+
+
+def files_of(client):
+    return sorted(path.name for path in studio_of(client).uploads.folder.iterdir())
+
+
+def studio_of(client):
+    return client.app.state.studio
+
+
+def test_only_photos_are_kept_and_the_oldest_go(client):
+    refused = client.post("/api/upload/photo", content=b"GIF89a" + bytes(100))
+    assert refused.json()["error"]["field"] == "photo"
+    assert files_of(client) == []
+    photo = encode_image(np.random.default_rng(0).random((32, 32)), ".png")
+    keys = [client.post("/api/upload/photo", content=photo).json()["photo"] for _ in range(10)]
+    assert files_of(client) == sorted(f"{key}.png" for key in keys[-8:])
+    assert client.get(f"/api/photo/{keys[-1]}").status_code == 404  # no preview yet
+    assert client.get(f"/api/photo/{keys[0]}").status_code == 422
+
+
+def test_hostile_requests_are_refused_and_leave_nothing(client, keys):
+    rng = np.random.default_rng(0)
+    before = files_of(client)
+    for _ in range(60):
+        method, path, changed, chunks = hostile(rng)
+        request = client.build_request(method, path, content=iter(chunks) if len(chunks) > 1 else b"".join(chunks))
+        request.headers["cookie"] = f"{keys.cookie}={keys.session}"
+        for name, value in changed.items():
+            if value is None:
+                request.headers.pop(name, None)
+            else:
+                request.headers[name] = value
+        answer = client.send(request)
+        assert 400 <= answer.status_code < 500, (method, path, changed, chunks[:1], answer.status_code, answer.text)
+        assert "Traceback" not in answer.text
+    assert files_of(client) == before
+    assert client.get("/").status_code == 200

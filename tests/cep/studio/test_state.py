@@ -1,0 +1,106 @@
+import json
+import math
+
+import numpy as np
+import pytest
+
+import cep
+from cep.studio.state import FieldError, path_fields, read_setting
+from motdiff.motions import boracchi_foi
+
+
+@pytest.mark.parametrize(
+    ("field", "change"),
+    [
+        ("bits", {"bits": "10a"}),
+        ("bits", {"bits": "0000"}),
+        ("bits", {"bits": ""}),
+        ("bits", {"bits": "1" * 513}),
+        ("bits", {"bits": 101}),
+        ("length", {"motion": {"kind": "straight", "length": 0}}),
+        ("length", {"motion": {"kind": "straight", "length": math.nan}}),
+        ("length", {"motion": {"kind": "straight"}}),
+        ("angle", {"motion": {"kind": "straight", "length": 9, "angle": "x"}}),
+        ("motion", {"motion": {"kind": "loop"}}),
+        ("motion", {"motion": {"kind": "example", "name": "nothing"}}),
+        ("motion", {"motion": {"kind": "path", "t": [0, 1], "x": [0], "y": [0, 1]}}),
+        ("motion", {"motion": {"kind": "path", "t": [0, 0], "x": [0, 1], "y": [0, 1]}}),
+        ("motion", {"motion": {"kind": "path", "t": [0, 1], "x": [0, 1e9], "y": [0, 1]}}),
+        ("motion", {"motion": {"kind": "path", "t": [0, 1], "x": [2, 2], "y": [1, 1]}}),
+        ("motion", {"motion": {"kind": "path", "t": [0, 1], "x": [0, None], "y": [0, 1]}}),
+        ("exposure", {"exposure": "soon"}),
+        ("exposure", {"exposure": "-1"}),
+        ("exposure", {"exposure": 3}),
+        ("photons", {"photons": 0}),
+        ("photons", {"photons": True}),
+        ("read_noise", {"read_noise": -1}),
+        ("camera", {"camera": "../../etc/camera.toml"}),
+        ("camera", {"camera": "mine.json"}),
+        ("device", {"device": "/dev/null"}),
+        ("open", {"open": [0, 4]}),
+        ("open", {"open": [9, 4]}),
+        ("open", {"open": [1, 99]}),
+        ("open", {"open": "8"}),
+        ("min_open", {"min_open": 1.5}),
+        ("max_pulses", {"max_pulses": 0}),
+    ],
+)
+def test_wrong_input_names_its_field(setting, field, change):
+    with pytest.raises(FieldError) as caught:
+        read_setting({**setting, **change})
+    assert caught.value.field == field
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("field", "change"),
+    [
+        ("camera", {"camera": "nothing"}),
+        ("device", {"device": "nothing"}),
+        ("device", {"device": "mechanical"}),
+        ("min_open", {"min_open": 12, "open": [1, 4]}),
+        ("min_open", {"min_open": 99}),
+    ],
+)
+def test_limits_that_no_code_keeps_name_their_field(setting, field, change):
+    with pytest.raises(FieldError) as caught:
+        read_setting({**setting, **change}).problem()
+    assert caught.value.field == field
+
+
+def test_a_setting_is_the_problem_of_the_front_door(setting):
+    read = read_setting({**setting, "open": [4, 9], "min_open": 2, "device": "flc"})
+    light = cep.Camera.load("video-8bit").at(2000)
+    runs = cep.RunLimits(min_open=2)
+    meant = cep.SearchProblem.along(
+        cep.Trajectory.straight(20.0), chips=16, exposure_s=0.02, open_range=(4, 9), runs=runs, device="flc",
+        camera=light, objective="mse",
+    )  # fmt: skip
+    made = read.problem()
+    assert (made.runs, made.open_range, made.chip_ns, made.camera) == (
+        meant.runs,
+        meant.open_range,
+        meant.chip_ns,
+        light,
+    )
+
+
+def test_a_path_is_thinned_within_what_a_restoration_notices():
+    path = boracchi_foi(np.random.default_rng(3))
+    kept = path_fields(path)
+    assert len(kept["t"]) <= 160 < path.t.size
+    again = read_setting({"motion": kept, "bits": "10"}).trajectory
+    times = np.linspace(0, 1, 400)
+    assert np.abs(again.at(times) - path.at(times)).max() < 0.05
+
+
+def test_commands_quote_what_a_shell_would_read(setting):
+    read = read_setting({**setting, "exposure": "1/30"})
+    assert read.commands()[0] == (
+        "cep advise --linear 20 --code code.json --camera video-8bit --photons 2000 -o advice.png"
+    )
+    assert (
+        "--trajectory trajectory.json"
+        in read_setting({**setting, "motion": {"kind": "example", "name": "walk"}}).commands()[0]
+    )
+    assert json.dumps(read.commands(steps=7, seed=3)).count("--steps 7 --seed 3") == 1
