@@ -36,6 +36,8 @@ class MotionEstimate:
         Figures behind the estimate (JSON-able), for the report.
     psf_warnings : tuple of str
         Those of the ``warnings`` that are for users of the PSF, too, whatever its path and confidence are.
+    draws : tuple of (S, S) float
+        Kernels drawn at random, each as likely as the others; empty for a method that draws none.
     """
 
     method: str
@@ -46,6 +48,7 @@ class MotionEstimate:
     warnings: tuple[str, ...] = ()
     details: dict[str, object] = field(default_factory=dict)
     psf_warnings: tuple[str, ...] = ()
+    draws: tuple[NDArray[np.float64], ...] = ()
 
     @property
     def best(self) -> Trajectory:

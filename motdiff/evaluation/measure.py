@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.evaluation.draws import measure_draws
 from motdiff.evaluation.sets import Case
 from motdiff.metrics import (
     laid_on,
@@ -21,11 +22,14 @@ from motdiff.metrics import (
 )
 from motdiff.psf_frame import PSF_PX
 
-__all__ = ["FIGURES", "RESTORATION", "Measured", "measure_estimator", "measure_psf", "restored"]
+__all__ = ["DRAW_FIGURES", "FIGURES", "RESTORATION", "Measured", "measure_estimator", "measure_psf", "restored"]
 
 FloatArray = NDArray[np.float64]
 
-FIGURES = ("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim", "confidence", "cpu_s")
+DRAW_FIGURES = ("best_draw", "draws_alike", "covered")
+"""Names of the figures of :class:`Measured` that only several draws have."""
+
+FIGURES = ("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim", "confidence", "cpu_s", *DRAW_FIGURES)
 """Names of the figures of :class:`Measured`."""
 
 _LEAST_WEIGHT, _MOST_WEIGHT = 2e-4, 2e-3
@@ -59,6 +63,8 @@ class Measured:
         Of the estimate, 0..1.
     cpu_s : float, seconds
         Processor time of the estimate, all threads, including earlier runs of a resumed estimate.
+    best_draw, draws_alike, covered : float
+        Of an estimate with several draws, as in :class:`motdiff.evaluation.draws.DrawFigures`; ``covered`` is 0 or 1.
     """
 
     psf: FloatArray
@@ -70,6 +76,9 @@ class Measured:
     ssim: float = _NAN
     confidence: float = _NAN
     cpu_s: float = _NAN
+    best_draw: float = _NAN
+    draws_alike: float = _NAN
+    covered: float = _NAN
 
 
 def measure_psf(case: Case, psf: FloatArray, *, restore: bool = True) -> Measured:
@@ -113,7 +122,11 @@ def measure_estimator(case: Case, estimator: Estimator, *, restore: bool = True)
     cpu_s = time.process_time() - began_s + _earlier_cpu_s(estimate)
     kernel = measure_psf(case, estimate.psf, restore=restore)
     path_mnc, path_px = _path_figures(case, estimate)
-    return replace(kernel, path_mnc=path_mnc, path_px=path_px, confidence=estimate.confidence, cpu_s=cpu_s)
+    whole = replace(kernel, path_mnc=path_mnc, path_px=path_px, confidence=estimate.confidence, cpu_s=cpu_s)
+    if len(estimate.draws) < 2:
+        return whole
+    drawn = measure_draws(estimate.draws, case.psf)
+    return replace(whole, best_draw=drawn.best, draws_alike=drawn.alike, covered=float(drawn.covered))
 
 
 def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:

@@ -19,8 +19,9 @@ SLOW_METHODS = ("selfdeblur", "blinddps")
 
 METHODS = ("pmp", "motdiff", "network", "parametric", "psf-diffusion", *SLOW_METHODS)
 """Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both take one DDIM step where
-none are named), ``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps tells only what
-it needs. ``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE`` take other weights than the package's."""
+none are named), ``network:SAMPLER:STEPS:DRAWS``, which measures that many draws of each photo as well,
+``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps tells only what it needs.
+``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE`` take other weights than the package's."""
 
 _WITH_WEIGHTS = ("motdiff", "network")
 
@@ -38,9 +39,13 @@ class NetworkAlone:
         See :func:`motdiff.network.diffusion.samples`.
     steps : int
     seed : int
+    count : int
+        Number of draws. The first is the estimate, which has them all where there are several.
     """
 
-    def __init__(self, weights: Path | None = None, *, sampler: str = "ddim", steps: int = 1, seed: int = 0) -> None:
+    def __init__(
+        self, weights: Path | None = None, *, sampler: str = "ddim", steps: int = 1, seed: int = 0, count: int = 1
+    ) -> None:
         import torch
 
         from motdiff.network.diffusion import cosine_schedule, samples
@@ -51,10 +56,12 @@ class NetworkAlone:
             lambda x, _t: x, (1,), schedule=cosine_schedule(), steps=steps, generator=torch.Generator(), method=sampler
         )
         self._network = load_network() if weights is None else load_network(weights)
-        self._sampler, self._steps, self._seed = sampler, steps, seed
+        if count < 1:
+            raise ValueError(f"count: must be at least 1, got {count}")
+        self._sampler, self._steps, self._seed, self._count = sampler, steps, seed, count
 
     def estimate(self, photo: NDArray[np.float64]) -> MotionEstimate:
-        """Draw one motion from ``photo``, (H, W) or (H, W, 3)."""
+        """Draw motions from ``photo``, (H, W) or (H, W, 3)."""
         import torch
 
         from motdiff.crops import luminance
@@ -67,16 +74,17 @@ class NetworkAlone:
         if self._network.physics is not None:
             classical = quick_search(grey[None], sigma=noise_sigma(grey))
         generator = torch.Generator().manual_seed(self._seed)
-        (psf,) = draw_psfs(
+        psf, *others = draw_psfs(
             self._network,
             grey[None],
             classical,
-            count=1,
+            count=self._count,
             steps=self._steps,
             generator=generator,
             method=self._sampler,
         )
-        return MotionEstimate("network", (simplest_trajectory(psf),), (1.0,), psf, confidence=0.0)
+        draws = (psf, *others) if others else ()
+        return MotionEstimate("network", (simplest_trajectory(psf),), (1.0,), psf, confidence=0.0, draws=draws)
 
 
 def split_weights(method: str) -> tuple[str, Path | None]:
@@ -166,4 +174,7 @@ def _of_network(method: str, weights: Path | None) -> Estimator:
             return NetworkAlone(weights)
         case ["network", sampler, steps] if steps.isdigit():
             return NetworkAlone(weights, sampler=sampler, steps=int(steps))
-    raise ValueError(f"method: must be network or network:SAMPLER:STEPS, got {method!r}")
+        case ["network", sampler, steps, count] if steps.isdigit() and count.isdigit() and int(count) > 0:
+            return NetworkAlone(weights, sampler=sampler, steps=int(steps), count=int(count))
+    known = "network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS"
+    raise ValueError(f"method: must be {known}, got {method!r}")

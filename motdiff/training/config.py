@@ -118,6 +118,9 @@ class OptimiserConfig:
     start : str
         Weights file that the run starts from: all of it where it holds the same network, else its condition network;
         "" for random weights.
+    only : {"", "photo"}
+        "photo" trains the photo encoder and the layer that adds its features, and leaves the rest as it starts: what
+        the weights then gain is the encoder's. "" trains all.
     seed : int
     """
 
@@ -132,6 +135,7 @@ class OptimiserConfig:
     window: int = PSF_PX
     compile: bool = False
     start: str = ""
+    only: str = ""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -148,6 +152,10 @@ class OptimiserConfig:
             raise ValueError(f"optimiser.seed: must lie within 0..2^32 - 1, got {self.seed}")
         if self.precision not in ("fp32", "bf16"):
             raise ValueError(f'optimiser.precision: must be "fp32" or "bf16", got {self.precision!r}')
+        if self.only not in ("", "photo"):
+            raise ValueError(f'optimiser.only: must be "photo", or "" for all, got {self.only!r}')
+        if self.only and not self.start:
+            raise ValueError("optimiser.only: needs weights to start from, optimiser.start")
         if not 8 <= self.window <= PSF_PX:
             raise ValueError(f"optimiser.window: must lie within 8..{PSF_PX}, got {self.window}")
         if not 0 <= self.ema < 1:
@@ -175,6 +183,8 @@ class TrainingConfig:
         if self.network.denoiser_view and self.optimiser.window != PSF_PX:
             given = self.optimiser.window
             raise ValueError(f"optimiser.window: must be {PSF_PX} for a denoiser that sees the whole map, got {given}")
+        if self.optimiser.only == "photo" and self.network.backbone == "none":
+            raise ValueError('optimiser.only: must be "" for a network without a photo encoder, got "photo"')
 
     def as_dict(self) -> dict[str, Any]:
         """Fields as plain values, ready for JSON."""

@@ -27,7 +27,7 @@ from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_check
 from motdiff.training.config import LossConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch, BatchSource, seed_of
 from motdiff.training.targets import path_loss, psf_batch
-from motdiff.weights import load_start
+from motdiff.weights import PHOTO_PARTS, load_start
 
 __all__ = ["Losses", "Trainer", "learning_rate", "loss_of"]
 
@@ -89,6 +89,10 @@ class Trainer:
             self.average = build_network(config.network)
         if config.optimiser.start:
             load_start(self.network, config.optimiser.start)
+        kept = [part for name, part in self.network.named_children() if f"{name}." not in PHOTO_PARTS]
+        self._kept = kept if config.optimiser.only == "photo" else []
+        for part in self._kept:
+            part.requires_grad_(False)
         self.average.load_state_dict(self.network.state_dict())
         for mine in (self.network, self.average):
             mine.to(self.device)
@@ -119,6 +123,8 @@ class Trainer:
         for group in self._adam.param_groups:
             group["lr"] = learning_rate(self.step, optimiser)
         self.network.train()
+        for part in self._kept:
+            part.eval()  # its running means stay as well
         forked = [self.device] if self.device.type == "cuda" else []
         with torch.random.fork_rng(devices=forked):
             torch.manual_seed(seed_of(optimiser.seed, self.step, self._rank, _DROPOUT))

@@ -20,6 +20,7 @@ from motdiff.weights_io import halved, read_header, read_tensors
 __all__ = [
     "DEFAULT_WEIGHTS",
     "PATH_WEIGHTS",
+    "PHOTO_PARTS",
     "PSF_WEIGHTS",
     "export_weights",
     "load_network",
@@ -31,6 +32,8 @@ __all__ = [
 DEFAULT_WEIGHTS = Path(__file__).with_name("motdiff.safetensors")
 PATH_WEIGHTS = Path(__file__).with_name("parametric.safetensors")
 PSF_WEIGHTS = Path(__file__).with_name("psf_diffusion.safetensors")
+PHOTO_PARTS = ("photo.", "fusion.")
+"""First parts of the names of a photo encoder's parameters, and of the layer that adds its features to others."""
 _SCHEMA = "motdiff.weights/1"
 _OUTPUT_BIAS = "denoiser.output.1.bias"
 _PHOTO_FIELDS = ("backbone", "features", "photo_pool", "width")
@@ -147,7 +150,7 @@ def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
     added: tuple[str, ...] = ()
     if theirs.backbone == "none" and network.physics is not None:
         theirs = replace(theirs, **{name: getattr(ours, name) for name in _PHOTO_FIELDS})
-        added += ("photo.", "fusion.")
+        added += PHOTO_PARTS
     if theirs.denoiser_view == 0:
         theirs = replace(theirs, denoiser_view=ours.denoiser_view)
         added += ("denoiser.view.",)

@@ -154,6 +154,11 @@ _QUALITY = (
     Column("psnr_db", "PSNR dB", "high", 2),
     Column("ssim", "SSIM", "high", 3),
 )
+_DRAWS = (
+    Column("best_draw", "best draw MNC", None, 3),
+    Column("draws_alike", "MNC of two draws", None, 3),
+    Column("covered", "truth among draws", None, 2, "share"),
+)
 _COST = (
     Column("cpu_s", "CPU-s", "low", 2),
     Column("wall_s", "s", None, 2),
@@ -182,6 +187,8 @@ def blind_tables(figures: Figures, lights: Sequence[str], *, title: str, seed: i
         if limits:
             plain = tuple(Column(column.figure, column.head, None, column.digits) for column in _QUALITY)
             tables.append(_table(f"{title}, {light}: kernels that know the truth", limits, plain, seed))
+        if drawn := {name: own for name, own in measured.items() if own.get("covered") is not None}:
+            tables.append(_table(f"{title}, {light}: several draws of each photo", drawn, _DRAWS, seed))
         ours = next((name for name in OURS if any(cell[0] == name for cell in here)), None)
         if ours is not None and len({name[0] for name in measured}) > 1:
             plain = tuple(Column(c.figure, c.head, None, c.digits) for c in (*_QUALITY, _COST[0]))
@@ -200,7 +207,7 @@ def cells_csv(figures: Figures, failures: Mapping[tuple[str, ...], str]) -> str:
     """Write every cell as a line of CSV; empty where not measured."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    names = [column.figure for column in (*_QUALITY, *_COST)] + list(_OWN)
+    names = [column.figure for column in (*_QUALITY, *_COST, *_DRAWS)] + list(_OWN)
     writer.writerow(("method", "photo", "motion", "light", *names, "failure"))
     for name, own in figures.items():
         values = (own.get(key) for key in names)

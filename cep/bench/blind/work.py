@@ -19,7 +19,7 @@ from cep.jobs.cells import Figure
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.evaluation.floors import floors, path_kernel, quadratic_kernel
-from motdiff.evaluation.measure import FIGURES, Measured, measure_estimator, measure_psf, restored
+from motdiff.evaluation.measure import DRAW_FIGURES, FIGURES, Measured, measure_estimator, measure_psf, restored
 from motdiff.evaluation.methods import named_estimators
 from motdiff.evaluation.sets import Case, levin_photo
 from motdiff.metrics import psnr_ssim_up_to_shift
@@ -106,7 +106,7 @@ def measure_real(
     with one_thread():
         figures = _of_estimator(method, case, restore=False) if known is None else {"psf": psf_to_text(known)}
         # figures that need a true kernel
-        figures |= dict.fromkeys(("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim"))
+        figures |= dict.fromkeys(("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim", *DRAW_FIGURES))
         if target is not None:
             image, grey = restored(luminance(photo), psf_from_text(str(figures["psf"]))), luminance(target)
             psnr_db, ssim = psnr_ssim_up_to_shift(image, grey, max_shift_px=_FARTHEST_PX)

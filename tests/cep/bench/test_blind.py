@@ -512,6 +512,16 @@ def test_kernels_that_know_the_truth_never_win_the_table():
     assert (list(methods.rows), list(limits.rows)) == (["pmp"], ["true-kernel"])
 
 
+def test_several_draws_have_a_table_of_their_own():
+    cells = figures({("network:ddim:10:8", str(i), "0"): 0.6 + 0.1 * i for i in range(3)} | {("pmp", "0", "0"): 0.5})
+    for number, own in enumerate(own for name, own in cells.items() if name[0] != "pmp"):
+        own |= {"best_draw": 0.8, "draws_alike": 0.7, "covered": float(number > 0)}
+    (draws,) = (t for t in blind_tables(cells, ["no noise"], title="T", seed=0) if "draws" in t.title)
+    assert list(draws.rows) == ["network:ddim:10:8"]
+    means = [entry.summary.mean for entry in draws.rows["network:ddim:10:8"]]
+    assert means == pytest.approx([0.8, 0.7, 2 / 3])
+
+
 def test_every_light_level_has_its_tables_and_failures_are_told():
     cells = figures({("pmp", "a", "0"): 0.5}, "dark") | figures({("pmp", "a", "0"): 0.7}, "light")
     cells["pmp", "b", "0", "dark"] = {}
@@ -522,7 +532,7 @@ def test_every_light_level_has_its_tables_and_failures_are_told():
     ]
     assert tables[1].cells["pmp"] == 2
     text = cells_csv(cells, {("pmp", "b", "0", "dark"): "photo: too dark"})
-    assert text.splitlines()[-1] == "pmp,b,0,dark" + "," * 11 + "photo: too dark"
+    assert text.splitlines()[-1] == "pmp,b,0,dark" + "," * 14 + "photo: too dark"
     assert text.splitlines()[1].startswith("pmp,a,0,dark,0.5,")
 
 

@@ -79,6 +79,16 @@ def test_without_a_true_path_or_a_sharp_photo_there_is_nothing_to_compare(case):
     assert row.path_mnc == pytest.approx(1)
 
 
+def test_draws_are_measured_where_there_are_several(case):
+    blob, point = gaussian(5.0), delta()
+    told = answer(case.trajectory, blob)
+    assert math.isnan(measure_estimator(case, Says(told), restore=False).best_draw)
+    row = measure_estimator(case, Says(replace(told, draws=(blob, case.psf, point))), restore=False)
+    assert row.mnc < 0.9  # the estimate is the blob still
+    assert (row.best_draw, row.covered) == pytest.approx((1, 1))
+    assert row.draws_alike < 0.9
+
+
 def test_kernels_are_ranked_by_the_photos_they_restore(case):
     truth, blob, none = (measure_psf(case, psf) for psf in (case.psf, gaussian(5.0), delta()))
     assert truth.psnr_db > none.psnr_db + 2 > blob.psnr_db

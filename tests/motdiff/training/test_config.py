@@ -120,6 +120,12 @@ def test_a_configuration_is_json_and_back(tmp_path):
         ("[optimiser]\nema = 1.0", "optimiser.ema: must be at least 0 and below 1"),
         ("[optimiser]\nclip = 0", "optimiser.clip: must be above 0"),
         ('[optimiser]\nprecision = "fp64"', 'optimiser.precision: must be "fp32" or "bf16"'),
+        ('[optimiser]\nonly = "encoder"', 'optimiser.only: must be "photo"'),
+        ('[optimiser]\nonly = "photo"', "optimiser.only: needs weights to start from"),
+        (
+            '[network]\nbackbone = "none"\nphysics_channels = 8\n[optimiser]\nonly = "photo"\nstart = "w"',
+            'optimiser.only: must be "" for a network without a photo encoder',
+        ),
         ("[optimiser]\nwindow = 65", "optimiser.window: must lie within 8..64"),
         ("[optimiser]\nwindow = 7", "optimiser.window: must lie within 8..64"),
         ("[optimiser]\nseed = -1", "optimiser.seed: must lie within"),

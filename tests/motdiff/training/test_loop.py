@@ -21,6 +21,7 @@ from motdiff.training.loop import Trainer, learning_rate, loss_of
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.training.samples import simulate
 from motdiff.training.simulation import Photography
+from motdiff.weights import export_weights
 
 TINY = NetworkConfig(
     backbone="none",
@@ -55,6 +56,14 @@ class Noise:
         return Batch(None, torch.randn(size, 2, 64, 64, generator=draw), x0, x0 * 1.0)
 
 
+class WithPhotos(Noise):
+    """The same with photos."""
+
+    def batch(self, step, size, *, rank=0):
+        draw = torch.Generator().manual_seed(step)
+        return replace(super().batch(step, size, rank=rank), photo=torch.rand(size, 3, 256, 256, generator=draw))
+
+
 def config(*, network=TINY, optimiser=SMALL_WINDOW, physics_dropout=0.0, **loss):
     data = DataConfig(photos="photos", physics_dropout=physics_dropout)
     return TrainingConfig(data, network=network, loss=LossConfig(**loss), optimiser=optimiser)
@@ -74,6 +83,29 @@ def assert_equal(a, b):
     assert a.tensors.keys() == b.tensors.keys()
     for name, tensor in a.tensors.items():
         assert torch.equal(tensor, b.tensors[name]), name
+
+
+# ---- what is trained
+
+
+def test_only_the_photo_encoder_learns_where_asked(tmp_path):
+    """The rest keeps the weights it started from, to the bit; both parts of the photo's have moved."""
+    start = tmp_path / "start"
+    Trainer(config()).save(start / "checkpoint")
+    export_weights(start / "checkpoint", start / "w.safetensors")
+    with_photo = replace(TINY, backbone="b0", photo_pool=2, width=8)
+    chosen = replace(SMALL_WINDOW, start=str(start / "w.safetensors"), only="photo")
+    trainer = Trainer(config(network=with_photo, optimiser=chosen))
+    before = {name: tensor.clone() for name, tensor in trainer.network.state_dict().items()}
+    train(trainer, 2, WithPhotos())
+    for network in (trainer.network, trainer.average):
+        moved = {name.split(".")[0] for name, now in network.state_dict().items() if not torch.equal(now, before[name])}
+        assert moved == {"photo", "fusion"}
+    resumed = Trainer(config(network=with_photo, optimiser=chosen))
+    kept = saved(trainer, tmp_path / "checkpoint")
+    assert resumed.resume(tmp_path / "checkpoint")
+    assert train(resumed, 1, WithPhotos()) == train(trainer, 1, WithPhotos())
+    assert {name.split(".")[2] for name in kept.tensors if name.startswith("adam.")} == {"photo", "fusion"}
 
 
 # ---- resuming

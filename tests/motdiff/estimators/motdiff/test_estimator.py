@@ -620,6 +620,19 @@ def test_the_network_alone_repeats_with_its_seed(physics_only, no_search, no_tra
     assert np.abs(first - noisier).max() > 1e-3 * first.max()
 
 
+def test_several_draws_are_kept_and_the_first_is_the_estimate(physics_only, no_search, no_tracing, shaken):
+    (alone,) = named_estimators([f"network:ddim:2@{physics_only}"]).values()
+    (many,) = named_estimators([f"network:ddim:2:3@{physics_only}"]).values()
+    found = many.estimate(shaken)
+    assert len(found.draws) == 3
+    np.testing.assert_array_equal(found.psf, found.draws[0])
+    np.testing.assert_allclose(found.psf, alone.estimate(shaken).psf, atol=1e-6)
+    assert np.abs(found.draws[0] - found.draws[1]).max() > 1e-3 * found.psf.max()
+    assert alone.estimate(shaken).draws == ()
+    with pytest.raises(ValueError, match=r"^count: must be at least 1, got 0"):
+        NetworkAlone(physics_only, count=0)
+
+
 def test_samplers_are_named_with_their_steps(oracle_weights, shaken):
     made = named_estimators(["network", "network:ddpm:4", "network:dpm++2m:2"])
     calls = {}
@@ -632,9 +645,14 @@ def test_samplers_are_named_with_their_steps(oracle_weights, shaken):
         named_estimators(["network:magic:2"])
 
 
-@pytest.mark.parametrize("name", ["network:ddpm", "network:ddpm:x", "network:ddpm:4:5", "motdiff:3", "pmp:1"])
+@pytest.mark.parametrize(
+    "name",
+    ["network:ddpm", "network:ddpm:x", "network:ddpm:4:0", "network:ddpm:4:5:6", "motdiff:3", "pmp:1"],
+)
 def test_other_names_are_refused(oracle_weights, name):
-    with pytest.raises(ValueError, match=r"^method: must be network or network:SAMPLER:STEPS, got "):
+    with pytest.raises(
+        ValueError, match=r"^method: must be network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS, got "
+    ):
         named_estimators([name])
 
 
