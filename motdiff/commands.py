@@ -188,13 +188,20 @@ def _add_export(commands: _Commands[argparse.ArgumentParser]) -> None:
 
 def _export(given: argparse.Namespace) -> None:
     from motdiff.io.inputs import read_json
-    from motdiff.weights import export_weights
+    from motdiff.training.log import last_validation
+    from motdiff.weights import export_weights, read_card
 
     card = None if given.card is None else read_json(given.card)
     if not isinstance(card, dict | None):
         raise ValueError(f"{given.card}: must hold a JSON object")
-    size = export_weights(given.run / "checkpoint", given.out, offset=given.offset, card=card)
-    print(f"{given.out}: {size / 2**20:.1f} MiB", file=sys.stderr)  # noqa: T201
+    score = last_validation(given.run / "log.csv")
+    size = export_weights(given.run / "checkpoint", given.out, offset=given.offset, card=card, validation_mnc=score)
+    runs = read_card(given.out)["run"]["history"]
+    samples, hours = (sum(line[name] for line in runs) for name in ("samples", "hours"))
+    told = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
+    told += "" if score is None else f", validation MNC {score:.3f}"
+    text = f"{given.out}: {size / 2**20:.1f} MiB; {samples:,} samples in {hours:.1f} h, {told}"
+    print(text, file=sys.stderr)  # noqa: T201
 
 
 def _add_sample(commands: _Commands[argparse.ArgumentParser]) -> None:

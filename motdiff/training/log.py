@@ -11,7 +11,7 @@ from pathlib import Path
 from motdiff.io.outputs import write_bytes, write_text
 from motdiff.training.loop import Losses
 
-__all__ = ["RunLog", "read_log"]
+__all__ = ["RunLog", "last_validation", "read_log"]
 
 _FIELDS = ("step", "samples", "loss", "path", "dwell", "gradient", "samples_per_s", "validation_mnc")
 _EVERY_STEPS = 50
@@ -151,6 +151,14 @@ def read_log(path: Path | str) -> list[dict[str, float]]:
     """Rows of a ``log.csv``; missing values are NaN."""
     with Path(path).open(newline="", encoding="utf-8") as file:
         return [{name: float(row[name]) if row[name] else math.nan for name in _FIELDS} for row in csv.DictReader(file)]
+
+
+def last_validation(path: Path | str) -> float | None:
+    """Return the MNC of the last validation in a ``log.csv``; None where there is no file, or none was made."""
+    if not Path(path).is_file():
+        return None
+    _, scores = _curve(read_log(path), "validation_mnc")
+    return scores[-1] if scores else None
 
 
 def _curve(rows: list[dict[str, float]], name: str) -> tuple[list[float], list[float]]:

@@ -47,7 +47,12 @@ _PATHS = (
 
 
 def export_weights(
-    checkpoint: Path | str, target: Path | str, *, offset: float = 0.0, card: Mapping[str, object] | None = None
+    checkpoint: Path | str,
+    target: Path | str,
+    *,
+    offset: float = 0.0,
+    card: Mapping[str, object] | None = None,
+    validation_mnc: float | None = None,
 ) -> int:
     """Write the averaged weights of a run as float16, with its configuration in the header.
 
@@ -60,6 +65,8 @@ def export_weights(
         is on the path; sampled with such probabilities, uncertain regions are filled in.
     card : mapping, optional
         Further entries of the header: figures, data.
+    validation_mnc : float, optional
+        Of the run's log, for its line of the history.
 
     Returns
     -------
@@ -86,11 +93,31 @@ def export_weights(
         "step": str(found.step),
         "seconds": f"{found.seconds:.0f}",
         "offset": f"{offset:g}",
+        "history": json.dumps(
+            [*_earlier(found.config), _line(found.step, found.seconds, found.config, validation_mnc)]
+        ),
         "card": json.dumps(dict(card or {})),
     }
     data = _in_order(save(tensors, header), header)
     write_bytes(Path(target), data)
     return len(data)
+
+
+def _earlier(config: Mapping[str, Any]) -> list[dict[str, float | None]]:
+    """History of the weights that a run started from; none where it started from random ones, or they are gone."""
+    start = str(config.get("optimiser", {}).get("start", ""))
+    if not start or not Path(start).is_file():
+        return []
+    header = read_card(start)
+    history: list[dict[str, float | None]] = header["run"]["history"]
+    return history or [_line(header["run"]["steps"], header["run"]["seconds"], header["config"], None)]
+
+
+def _line(
+    steps: int, seconds: float, config: Mapping[str, Any], validation_mnc: float | None
+) -> dict[str, float | None]:
+    batch = int(config.get("optimiser", {}).get("batch", 1))
+    return {"samples": steps * batch, "hours": round(seconds / 3600, 2), "validation_mnc": validation_mnc}
 
 
 def _without_folders(config: Mapping[str, object]) -> dict[str, object]:
@@ -187,7 +214,10 @@ def _loaded(path: Path | str, device: str | torch.device) -> MotDiffNetwork | Pa
 
 
 def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
-    """Read the header of a weights file: ``config``, ``card``, and ``run`` (steps, seconds, offset).
+    """Read the header of a weights file: ``config``, ``card``, and ``run`` (steps, seconds, offset, history).
+
+    The history has a line for each run that led to the weights, from the first: ``samples``, ``hours`` and
+    ``validation_mnc``. It is empty in files of before.
 
     Raises
     ------
@@ -202,6 +232,7 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
             "steps": int(header["step"]),
             "seconds": float(header["seconds"]),
             "offset": float(header["offset"]),
+            "history": json.loads(header.get("history", "[]")),
         }
         return {"config": json.loads(header["config"]), "card": json.loads(header["card"]), "run": run}
     except (KeyError, ValueError, RecursionError) as error:

@@ -139,6 +139,23 @@ def test_a_run_of_the_same_network_goes_on_from_all_weights_without_their_offset
             torch.testing.assert_close(tensor, expected[name], rtol=2**-10, atol=2**-10)
 
 
+def test_weights_remember_all_runs_that_led_to_them(trained, tmp_path):
+    first, second = tmp_path / "first.safetensors", tmp_path / "second.safetensors"
+    export_weights(trained[1], first, validation_mnc=0.6)
+    optimiser = replace(trained[0].config.optimiser, start=str(first), batch=3)
+    trainer = Trainer(replace(trained[0].config, optimiser=optimiser))
+    trainer.update(Noise())
+    trainer.save(tmp_path / "checkpoint")
+    export_weights(tmp_path / "checkpoint", second, validation_mnc=0.7)
+    lines = read_card(second)["run"]["history"]
+    assert [(line["samples"], line["validation_mnc"]) for line in lines] == [(4, 0.6), (3, 0.7)]
+    rewritten(first, header={"history": None})  # as files of before
+    assert read_card(first)["run"]["history"] == []
+    export_weights(tmp_path / "checkpoint", second)
+    lines = read_card(second)["run"]["history"]
+    assert [(line["samples"], line["validation_mnc"]) for line in lines] == [(4, None), (3, None)]
+
+
 def test_a_photo_encoder_and_a_global_view_can_be_put_on_the_shipped_weights():
     """Until it is trained the network gives the shipped one's logits, less the offset that export took from them."""
     shipped = load_network()
