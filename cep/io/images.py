@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +29,7 @@ __all__ = [
     "check_image_name",
     "encode_image",
     "parse_gamma",
+    "read_detail",
     "read_image",
     "read_mosaic",
     "read_photo",
@@ -139,6 +140,56 @@ def read_photo(
     OSError
         If the file cannot be read.
     """
+    decoded, linear, warnings = _decoded(path, gamma, min_side_px, variable)
+    return Photo(linear(decoded), _bits(decoded), warnings)
+
+
+def read_detail(
+    path: Path | str, *, side_px: int, preview_px: int, gamma: str | float = "srgb"
+) -> tuple[Photo, FloatArray, tuple[int, int]]:
+    """Read the part of a photo that has most detail, and all of it small, without all of it in floating point.
+
+    Parameters
+    ----------
+    path, gamma
+        As of :func:`read_photo`.
+    side_px : int
+        Longest side of the part.
+    preview_px : int
+        Longest side of the small version.
+
+    Returns
+    -------
+    Photo, (h, w) or (h, w, 3) float ndarray, (int, int)
+        The part, the small version, and height and width of the photo.
+
+    Raises
+    ------
+    ValueError, OSError
+        As of :func:`read_photo`.
+    """
+    import cv2
+
+    decoded, linear, warnings = _decoded(path, gamma, MIN_SIDE_PX, "y")
+    height, width = decoded.shape[:2]
+    factor = max(height, width) / preview_px
+    size = (max(1, round(width / factor)), max(1, round(height / factor)))
+    small = linear(decoded if factor <= 1 else cv2.resize(decoded, size, interpolation=cv2.INTER_AREA))
+    rows, columns = min(side_px, height), min(side_px, width)
+    grey = small if small.ndim == 2 else small.mean(axis=2)
+    detail = np.abs(np.diff(grey, axis=0, prepend=grey[:1])) + np.abs(np.diff(grey, axis=1, prepend=grey[:, :1]))
+    window = (max(1, round(columns / max(factor, 1))), max(1, round(rows / max(factor, 1))))
+    summed = cv2.boxFilter(detail, cv2.CV_64F, window, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
+    top, left = (int(place * max(factor, 1)) for place in np.unravel_index(int(summed.argmax()), summed.shape))
+    top, left = min(top, height - rows), min(left, width - columns)
+    part = linear(decoded[top : top + rows, left : left + columns])
+    return Photo(part, _bits(decoded), warnings), small, (height, width)
+
+
+def _decoded(
+    path: Path | str, gamma: str | float, min_side_px: int, variable: str
+) -> tuple[NDArray[Any], Callable[[NDArray[Any]], FloatArray], tuple[str, ...]]:
+    """Decode a photo: its samples, what makes linear light of them, and warnings."""
     source = Path(path)
     exponent = _exponent(gamma)
     suffix = source.suffix.lower()
@@ -156,13 +207,17 @@ def read_photo(
     if min(height, width) < min_side_px:
         raise ValueError(f"{source}: {width} x {height} px is too small, at least {min_side_px} px a side is needed")
     if decoded.dtype.kind == "f":
-        return Photo(_checked_float(source, decoded), 32, warnings)
+        return _checked_float(source, decoded), lambda samples: samples, warnings
     if decoded.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{source}: has {decoded.dtype} samples, wanted 8 or 16 bit or floating point")
     full_scale = int(np.iinfo(decoded.dtype).max)
     # a table of all 2^bits values: forty megapixels cost one look-up each
     table: FloatArray = to_linear(np.arange(full_scale + 1) / full_scale, gamma=exponent).astype(_precision(decoded))
-    return Photo(np.ascontiguousarray(table[decoded]), 8 * decoded.dtype.itemsize, warnings)
+    return decoded, lambda samples: np.ascontiguousarray(table[samples]), warnings
+
+
+def _bits(decoded: NDArray[Any]) -> int:
+    return 32 if decoded.dtype.kind == "f" else 8 * decoded.dtype.itemsize
 
 
 def check_image_name(path: Path | str) -> None:

@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 import cep
 from cep.io.formatting import seconds_of
 from cep.workflows.catalogue import example_motion
+from cep.workflows.shutter import shutter_profile
 
 __all__ = ["MOST_CHIPS", "FieldError", "Setting", "path_fields", "read_setting"]
 
@@ -112,7 +113,9 @@ class Setting:
     @property
     def key(self) -> str:
         """Text that differs where anything but the bits differs, their number included."""
-        return repr(replace(self, bits="1" * self.chips, trajectory=_STILL))
+        light = (self.camera, self.photons, self.read_noise)
+        limits = (self.device, self.open_range, sorted(self.limits.items()))
+        return repr((self.chips, self.motion, self.exposure, light, limits))
 
     @cached_property
     def sensor(self) -> cep.Camera:
@@ -123,7 +126,7 @@ class Setting:
         FieldError
         """
         try:
-            found = cep.Camera.load(self.camera) if self.camera else cep.Camera()
+            found = _camera(self.camera) if self.camera else cep.Camera()
             found = found if self.photons is None else found.at(self.photons)
             return found if self.read_noise is None else replace(found, read_noise_e=self.read_noise)
         except ValueError as error:
@@ -137,10 +140,8 @@ class Setting:
         ------
         FieldError
         """
-        from cep.workflows.shutter import shutter_profile
-
         try:
-            return shutter_profile(self.device) if self.device else None
+            return _profile(self.device) if self.device else None
         except ValueError as error:
             raise FieldError("device", str(error)) from None
 
@@ -232,7 +233,14 @@ class Setting:
         return [shlex.join(line) for line in lines]
 
 
-_STILL = cep.Trajectory(np.array([0.0, 1.0]), np.zeros((2, 2)))
+@lru_cache(maxsize=32)
+def _camera(name: str) -> cep.Camera:
+    return cep.Camera.load(name)
+
+
+@lru_cache(maxsize=32)
+def _profile(name: str) -> cep.DeviceProfile:
+    return shutter_profile(name)
 
 
 def read_setting(document: object) -> Setting:

@@ -7,7 +7,7 @@ import signal
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,8 @@ Order = Mapping[str, Any]
 Tell = Callable[..., None]
 _EVERY_S = 0.1  # between two messages of progress
 _PREVIEW_PX, _SCENE_PX = 1600, 420
+_SEARCHED_PX = 768  # side of the part of a photo; crops of a few hundred px are searched anyway
+_UNO = "cxp-avr"  # profile of the emulated controller
 _CALM = 5  # niceness: the page goes first
 
 
@@ -86,20 +88,21 @@ def run(kind: str, order: Order, pipe: Connection) -> None:
 
 def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
-    from cep.io.images import encode_image, read_photo
-    from cep.plots.canvas import thumbnail
+    from cep.io.images import encode_image, read_detail
     from cep.workflows.sharpen import sharpen
 
     path = Path(order["path"])
     tell(0.0, "reading the photo")
     try:
-        photo = read_photo(path)
+        photo, small, (height, width) = read_detail(path, side_px=_SEARCHED_PX, preview_px=_PREVIEW_PX)
     except ValueError as error:  # its name is the server's, and says nothing
         raise FieldError("photo", str(error).replace(f"{path}: ", "").replace(str(path), "the photo")) from None
-    pixels = photo.pixels
-    shown = thumbnail(pixels, _PREVIEW_PX)
-    path.with_name(f"{path.stem}_preview.jpg").write_bytes(encode_image(shown, ".jpg"))
-    height, width = pixels.shape[:2]
+    path.with_name(f"{path.stem}_preview.jpg").write_bytes(encode_image(small, ".jpg"))
+    pixels, notes = photo.pixels, list(photo.warnings)
+    if pixels.shape[:2] != (height, width):
+        notes.append(
+            f"The motion was searched in the {pixels.shape[1]} x {pixels.shape[0]} px of the photo with most detail."
+        )
     tell(0.02, "searching the motion", best={"preview": True, "width": width, "height": height})
     try:
         found = cep.estimate_motion(
@@ -108,19 +111,27 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     except ValueError as error:
         raise FieldError("photo", str(error).removeprefix("photo: ")) from None
     tell(0.85, "restoring a part of the photo")
-    side = min(_SCENE_PX, height, width)
-    top, left = (height - side) // 2, (width - side) // 2
-    part = np.asarray(pixels[top : top + side, left : left + side], dtype=np.float64)
-    scene = sharpen(part, found)
-    np.save(path.with_name(f"{path.stem}_scene.npy"), np.clip(scene.image, 0, 1).astype(np.float32))
+    scene = sharpen(_middle(pixels, _SCENE_PX).astype(np.float64), found)
+    np.save(path.with_name(f"{path.stem}_scene.npy"), _grey(np.clip(scene.image, 0, 1)).astype(np.float32))
     paths = [
         {"weight": weight, "length_px": one.length_px, "extent_px": one.extent_px, **path_fields(one)}
         for weight, one in zip(found.weights, found.trajectories, strict=True)
     ]
     return {
         "method": found.method, "confidence": found.confidence, "paths": paths, "width": width, "height": height,
-        "warnings": [*photo.warnings, *found.warnings], "summary": scene.summary,
+        "warnings": [*notes, *found.warnings], "summary": scene.summary,
     }  # fmt: skip
+
+
+def _middle(image: np.ndarray[Any, Any], side_px: int) -> np.ndarray[Any, Any]:
+    """Copy the middle of an image, at most so many pixels a side."""
+    rows, columns = (min(length, side_px) for length in image.shape[:2])
+    top, left = (image.shape[0] - rows) // 2, (image.shape[1] - columns) // 2
+    return image[top : top + rows, left : left + columns].copy()
+
+
+def _grey(image: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    return image if image.ndim == 2 else image.mean(axis=2)
 
 
 def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
@@ -160,23 +171,30 @@ def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
 
 def _play(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
-    from cep.workflows.shutter import play_emulated
+    from cep.workflows.shutter import play_emulated, shutter_profile
 
     setting = read_setting(order["setting"])
-    code, port = setting.code(), order["port"]
-    if port == "emulated":
-        tell(0.1, "starting the emulated controller")
-        played = play_emulated(code, profile=setting.profile)
-        report, edges = played.report, played.edges_ns
-    else:
-        tell(0.1, "opening the controller")
-        with cep.open_shutter(port) as shutter:
-            tell(0.4, "loading and reading back")
-            report, edges = shutter.upload(code, profile=setting.profile, arm=bool(order.get("arm"))), ()
+    code, port, notes = setting.code(), order["port"], []
+    if port == "emulated" and not setting.device and code.chip_ns % (tick_ns := shutter_profile(_UNO).tick_ns):
+        meant_ns, code = code.chip_ns, replace(code, chip_ns=max(1, round(code.chip_ns / tick_ns)) * tick_ns)
+        notes.append(f"its chips last {code.chip_ns} ns instead of {meant_ns} ns: whole ticks of {tick_ns} ns")
+    try:
+        if port == "emulated":
+            tell(0.1, "starting the emulated controller")
+            played = play_emulated(code, profile=setting.profile)
+            report, edges = played.report, played.edges_ns
+        else:
+            tell(0.1, "opening the controller")
+            with cep.open_shutter(port) as shutter:
+                tell(0.4, "loading and reading back")
+                report, edges = shutter.upload(code, profile=setting.profile, arm=bool(order.get("arm"))), ()
+    except ValueError as error:
+        raise FieldError("port", str(error)) from None
     return {
         "firmware": report.firmware, "trust": report.trust.value, "meaning": report.trust.meaning,
         "read_back": report.read_back, "armed": report.armed, "lease_ms": report.lease_ms, "edges_ns": edges,
-        "warnings": report.warnings, "seconds": report.seconds, "port": "the emulated Uno" if edges else report.port,
+        "warnings": [*notes, *report.warnings], "seconds": report.seconds,
+        "port": "the emulated Uno" if port == "emulated" else report.port,
     }  # fmt: skip
 
 

@@ -99,9 +99,12 @@ def workplace(small_inputs, tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser():
-    """A headless Chromium; without one the test is skipped, or fails where all tools were promised."""
+    """A headless Chromium; without one the test is skipped, or fails where all tools were promised.
+
+    Not of the whole session: Playwright keeps an event loop running, in which other tests fail.
+    """
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:

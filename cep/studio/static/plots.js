@@ -3,24 +3,37 @@
 import { make } from "./strip.js";
 
 const FLOOR_DB = -40;
-const EDGE = { left: 40, right: 12, top: 10, bottom: 34 };
+const EDGE = { left: 0, right: 0, top: 0, bottom: 0 }; // px, by the size of the letters
+
+// Sizes are measured when they change and not at every drawing: that would lay the page out once more each time.
+const sizes = new WeakMap();
+const watched = new ResizeObserver((changes) => changes.forEach((one) => sizes.delete(one.target)));
+
+function sizeOf(svg) {
+  if (!sizes.has(svg)) {
+    watched.observe(svg);
+    sizes.set(svg, { width: svg.clientWidth || 480, height: svg.clientHeight || 260, em: parseFloat(getComputedStyle(svg).fontSize) });
+  }
+  return sizes.get(svg);
+}
 
 /** A plot in pixels of the screen: axes, grid, and a function that places values. */
 function frame(svg, { x, y, xTicks, yTicks, xName, yName, xText = String, yText = String }) {
-  const width = svg.clientWidth || 480, height = svg.clientHeight || 260;
+  const { width, height, em } = sizeOf(svg);
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   svg.replaceChildren();
+  Object.assign(EDGE, { left: 3.4 * em, right: em, top: 0.9 * em, bottom: 2.9 * em });
   const inner = { w: width - EDGE.left - EDGE.right, h: height - EDGE.top - EDGE.bottom };
   const px = (value) => EDGE.left + (inner.w * (value - x[0])) / (x[1] - x[0]);
   const py = (value) => EDGE.top + (inner.h * (y[1] - value)) / (y[1] - y[0]);
   for (const tick of yTicks) {
     svg.append(make("line", { class: "grid", x1: EDGE.left, x2: width - EDGE.right, y1: py(tick), y2: py(tick) }));
-    svg.append(make("text", { x: EDGE.left - 6, y: py(tick) + 4, "text-anchor": "end" }, yText(tick)));
+    svg.append(make("text", { x: EDGE.left - 0.5 * em, y: py(tick) + 0.35 * em, "text-anchor": "end" }, yText(tick)));
   }
-  for (const tick of xTicks) svg.append(make("text", { x: px(tick), y: height - EDGE.bottom + 16, "text-anchor": "middle" }, xText(tick)));
-  svg.append(make("text", { x: EDGE.left + inner.w / 2, y: height - 3, "text-anchor": "middle" }, xName));
-  svg.append(make("text", { x: EDGE.left + 4, y: EDGE.top + 10 }, yName));
-  return { px, py, width, height };
+  for (const tick of xTicks) svg.append(make("text", { x: px(tick), y: height - EDGE.bottom + 1.3 * em, "text-anchor": "middle" }, xText(tick)));
+  svg.append(make("text", { x: EDGE.left + inner.w / 2, y: height - 0.3 * em, "text-anchor": "middle" }, xName));
+  svg.append(make("text", { x: width - EDGE.right, y: EDGE.top + 0.9 * em, "text-anchor": "end" }, yName));
+  return { px, py, width, height, em };
 }
 
 function line(points) {
@@ -55,12 +68,17 @@ export function drawMap(canvas, { rows, columns, db }) {
     for (let column = 0; column < side; column++) {
       const below = row >= middle;
       const value = below ? half[(row - middle) * columns + column] : half[(middle - row) * columns + (columns - 1 - column)];
-      const [r, g, b] = shade(value / 255), at = 4 * (row * side + column);
-      image.data.set([r, g, b, 255], at);
+      const at = 4 * (row * side + column), [r, g, b] = SHADES[value];
+      image.data[at] = r;
+      image.data[at + 1] = g;
+      image.data[at + 2] = b;
+      image.data[at + 3] = 255;
     }
   }
   context.putImageData(image, 0, 0);
 }
+
+const SHADES = Array.from({ length: 256 }, (_, value) => shade(value / 255));
 
 function shade(value) {
   const place = value * (CIVIDIS.length - 1), i = Math.min(Math.floor(place), CIVIDIS.length - 2), share = place - i;
@@ -73,7 +91,8 @@ export function drawPath(svg, motion, bits, { dots = true } = {}) {
   const low = [Math.min(...x), Math.min(...y)], high = [Math.max(...x), Math.max(...y)];
   const reach = Math.max(high[0] - low[0], high[1] - low[1], 1) * 0.62;
   const centre = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
-  const ratio = svg.clientHeight ? svg.clientWidth / svg.clientHeight : 1;
+  const { width, height } = dots ? sizeOf(svg) : { width: 1, height: 1 };
+  const ratio = width / height;
   svg.setAttribute("viewBox", `${centre[0] - reach * ratio} ${centre[1] - reach} ${2 * reach * ratio} ${2 * reach}`);
   const stroke = reach / 26;
   svg.replaceChildren(make("path", { class: "track", "stroke-width": stroke, d: line2(x.map((value, i) => [value, y[i]])) }));
@@ -128,7 +147,7 @@ export function drawGains(svg, advice) {
   const low = light[0], high = Math.max(light.at(-1), low + 0.1);
   const place = frame(svg, {
     x: [low, high], y: [bottom, top], xTicks: [2, 3, 4, 5].filter((tick) => tick >= low && tick <= high), yTicks,
-    xName: "photo-electrons at full scale", yName: "gain, dB", xText: (tick) => (10 ** tick).toLocaleString("en"),
+    xName: "photo-electrons at full scale", yName: "", xText: (tick) => (10 ** tick).toLocaleString("en"),
   });
   for (const [from, to] of advice.crossover) {
     const a = place.px(from === null ? low : Math.log10(from)), b = place.px(to === null ? high : Math.log10(to));
@@ -137,14 +156,14 @@ export function drawGains(svg, advice) {
   svg.append(make("line", { class: "zero", x1: EDGE.left, x2: place.width - EDGE.right, y1: place.py(0), y2: place.py(0) }));
   const here = place.px(Math.log10(advice.photons));
   svg.append(make("line", { class: "here", x1: here, x2: here, y1: EDGE.top, y2: place.height - EDGE.bottom }));
-  svg.append(make("text", { x: here + 4, y: EDGE.top + 24 }, "your light"));
+  svg.append(make("text", { x: here + 0.4 * place.em, y: place.height - EDGE.bottom - 0.5 * place.em }, "your light"));
   for (const [kind, [colour, name]] of Object.entries(WAYS)) {
     const points = levels.map((one, i) => [light[i], one.gains_db[kind]]).filter(([, gain]) => Number.isFinite(gain)).map(([a, b]) => [place.px(a), place.py(b)]);
     if (!points.length) continue;
     svg.append(make("path", { class: `curve ${colour}`, d: line(points) }));
     for (const [cx, cy] of points) svg.append(make("circle", { class: `marker curve ${colour}`, cx, cy, r: 3 }));
     const [x, y] = points.at(-1);
-    svg.append(make("text", { x: x - 4, y: y - 7, "text-anchor": "end" }, name));
+    svg.append(make("text", { x: x - 0.4 * place.em, y: y - 0.7 * place.em, "text-anchor": "end" }, name));
   }
   svg.setAttribute("aria-label", `Expected gain by light. ${advice.where}`);
 }

@@ -124,7 +124,8 @@ function drawVerdict() {
     $("where").textContent = "";
   } else {
     $("sentence").textContent = cut(judged.sentence)[0];
-    $("where").textContent = "The best code for this motion and light is being searched.";
+    const waits = job?.state === "running" && job.kind !== "advise";
+    $("where").textContent = waits ? "So far: the best code for this motion and light is looked for when this work is done." : "So far: the best code for this motion and light is being searched.";
   }
   $("own").textContent = judged ? ownLine(valid) : "";
 }
@@ -145,7 +146,7 @@ function ownLine(valid) {
   return gaps.length ? `The code below restores ${gaps.join(" and ")}.` : "";
 }
 
-let pinned = {};
+let pinned = {}, restTimer = null;
 const followPins = follower(async () => {
   try {
     const pins = Object.fromEntries(state.pins.filter((pin) => pin.bits.length === state.bits.length).map((pin) => [pin.name, pin.bits]));
@@ -193,12 +194,13 @@ function follow() {
     complain(new Refused("bits", "a code is a row of 1 (open) and 0 (closed), with at least one open chip"), ["picture"]);
     return;
   }
-  revision++;
+  document.body.dataset.asked = ++revision;
   followPicture();
   followPhotos();
   drawVerdict();
-  followVerdict();
-  followPins();
+  clearTimeout(restTimer);
+  restTimer = setTimeout(followVerdict, 120); // once the hand rests: pictures go first
+  if (state.pins.length) followPins();
   followAdvice();
 }
 
@@ -245,11 +247,10 @@ function fill() {
     ? "Restored by a Wiener filter along the motion, taken as known."
     : "With the camera's noise. Coded photos are brightened to the light of the open shutter.";
   drawEstimate();
-  drawPins();
 }
 
 function put(id, value) {
-  if (document.activeElement !== $(id)) $(id).value = value;
+  if (document.activeElement !== $(id) && $(id).value !== String(value)) $(id).value = value;
 }
 
 function draw() {
@@ -264,21 +265,25 @@ function draw() {
   figure("min", zero ? "0" : `≥ ${digits(figures.min_mtf_lower)}`, zero && figures.min_mtf > 1e-4 ? `reached ${digits(figures.min_mtf)}; not proven above 0` : `open shutter ${digits(open.min_mtf)}`);
   figure("noise", figures.noise_gain_db === null ? "> 100 dB" : `${figures.noise_gain_db.toFixed(1)} dB`, open.noise_gain_db === null ? "open shutter > 100 dB" : `open shutter ${open.noise_gain_db.toFixed(1)} dB`);
   figure("light", `${Math.round(100 * code.duty)} %`, `${code.open} / ${code.chips}`);
-  $("path-line").textContent = `${motion.length_px.toFixed(1)} px long, ${motion.extent_px.toFixed(1)} px wide; ${motion.both ? "direction unknown: the worse one counts" : motion.direction === "known" ? "direction known" : "either direction is the same"}. Lit where the shutter is open; dots are equal steps of time.`;
+  say("path-line", `${motion.length_px.toFixed(1)} px long, ${motion.extent_px.toFixed(1)} px wide; ${motion.both ? "direction unknown: the worse one counts" : motion.direction === "known" ? "direction known" : "either direction is the same"}. Lit where the shutter is open; dots are equal steps of time.`);
   drawPath($("path"), motion.path, state.bits);
   drawCurve();
   drawMap($("map-code"), shown.map);
-  if (shown.open_map) openMap = shown.open_map;
-  if (openMap) drawMap($("map-open"), openMap);
+  if (shown.open_map.db !== openMap) drawMap($("map-open"), shown.open_map);
+  openMap = shown.open_map.db;
   $("map-code").setAttribute("aria-label", "MTF of this code over all frequencies");
   $("map-open").setAttribute("aria-label", "MTF of the open shutter over all frequencies");
-  $("commands").textContent = shown.commands.join("\n");
+  say("commands", shown.commands.join("\n"));
   drawPins();
 }
 
+function say(id, text) {
+  if ($(id).textContent !== text) $(id).textContent = text;
+}
+
 function figure(name, value, delta) {
-  $(`f-${name}`).textContent = value;
-  $(`d-${name}`).textContent = delta;
+  say(`f-${name}`, value);
+  say(`d-${name}`, delta);
 }
 
 function drawCurve() {

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from cep.io.images import parse_gamma, read_image, read_photo, write_image
+from cep.io.images import parse_gamma, read_detail, read_image, read_photo, write_image
 from motdiff.simulate import to_linear
 
 
@@ -286,3 +286,31 @@ def test_forty_megapixels(tmp_path):
     pixels = read_image(path)
     assert pixels.shape == (5476, 7304)
     assert pixels[64, 7303] == pytest.approx(float(to_linear(200 / 255)))
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif"])
+def test_the_part_with_most_detail_is_read_as_the_whole_photo_is(tmp_path, suffix):
+    photo = np.full((300, 400, 3), 0.3)
+    photo[200:260, 260:330] = np.random.default_rng(0).random((60, 70, 3))
+    path = tmp_path / f"photo{suffix}"
+    write_image(path, photo, bits=16 if suffix != ".jpg" else 8)
+    whole = read_photo(path)
+    part, small, size = read_detail(path, side_px=100, preview_px=200)
+    assert (part.bits, size, small.shape) == (whole.bits, (300, 400), (150, 200, 3))
+    assert part.pixels.shape == (100, 100, 3)
+    places = [(row, column) for row in range(201) for column in range(301)]
+    assert any(
+        np.array_equal(part.pixels, whole.pixels[r : r + 100, c : c + 100]) for r, c in places if r > 150 and c > 200
+    )
+    assert np.var(part.pixels) > 0.9 * max(
+        np.var(whole.pixels[160:260, 230:330]), np.var(whole.pixels[200:300, 260:360])
+    )
+    assert small.mean() == pytest.approx(whole.pixels.mean(), rel=0.02)
+
+
+def test_a_small_photo_is_its_own_part(tmp_path, ramp):
+    write_image(tmp_path / "photo.png", ramp, bits=16)
+    part, small, size = read_detail(tmp_path / "photo.png", side_px=100, preview_px=200)
+    assert np.array_equal(part.pixels, read_photo(tmp_path / "photo.png").pixels)
+    assert np.array_equal(part.pixels, small)
+    assert size == ramp.shape[:2]

@@ -4,6 +4,7 @@ import asyncio
 import os
 
 import pytest
+from emulators.tools import require_simavr
 
 import cep
 from cep.studio import jobs as module
@@ -137,3 +138,22 @@ def test_wrong_work_is_one_line_and_no_crash(tmp_path):
     assert failed.state == "failed"
     assert failed.error["field"] == "photo"
     assert str(tmp_path) not in failed.error["message"]
+
+
+@pytest.mark.slow  # a process that loads the library, and an emulated board
+def test_a_code_is_played_on_the_emulated_controller(setting):
+    require_simavr()
+
+    async def scenario(jobs):
+        queue = jobs.listen(PAGE)
+        jobs.start(PAGE, "play", {"setting": {**setting, "exposure": "20001us"}, "port": "emulated"})
+        return await until(queue, lambda job: job.state != "running")
+
+    done = running(scenario)
+    assert done.state == "done", done.error
+    edges = done.result["edges_ns"]
+    assert [level for _, level in edges] == [1, 0] * 5  # 1101000111010110 opens five times
+    assert done.result["trust"] == "A"
+    assert "whole ticks of 500 ns" in done.result["warnings"][0]
+    chips = [0, 2, 3, 4, 7, 10, 11, 12, 13, 15]
+    assert [time_ns for time_ns, _ in edges] == pytest.approx([1_250_000 * chip for chip in chips], abs=200)

@@ -69,9 +69,10 @@ def until(page, expression, seconds=60):
 
 def shown(page):
     """Wait until everything shows the latest state."""
-    until(page, "['picture', 'photo', 'verdict'].every((one) => document.body.dataset[one] !== undefined)")
-    until(page, "window.latest = document.body.dataset.picture, document.body.dataset.photo === latest && "
-          "document.body.dataset.verdict === latest")  # fmt: skip
+    until(
+        page,
+        "['picture', 'photo', 'verdict'].every((one) => document.body.dataset[one] === document.body.dataset.asked)",
+    )
 
 
 def bits(page):
