@@ -40,9 +40,11 @@ if TYPE_CHECKING:
     from cep.workflows.calibrate import estimate_motion
     from cep.workflows.compare import compare
     from cep.workflows.optimize import optimize
+    from cep.workflows.playback import read_playback
     from cep.workflows.refine import refine_motion
     from cep.workflows.shutter import open_shutter
     from hw.device import DeviceProfile
+    from motdiff.io.gyro_tables import read_gyro
     from motdiff.trajectory import Trajectory
 
 __all__ = [
@@ -66,7 +68,9 @@ __all__ = [
     "mtf",
     "open_shutter",
     "optimize",
+    "read_gyro",
     "read_image",
+    "read_playback",
     "refine_motion",
     "restore",
     "verify",
@@ -93,7 +97,9 @@ _MODULES = {
     "mtf": "cep.optics.exposure",
     "open_shutter": "cep.workflows.shutter",
     "optimize": "cep.workflows.optimize",
+    "read_gyro": "motdiff.io.gyro_tables",
     "read_image": "cep.io.images",
+    "read_playback": "cep.workflows.playback",
     "refine_motion": "cep.workflows.refine",
     "restore": "cep.restoration.methods",
     "verify": "cep.proofs.verify.certificates",

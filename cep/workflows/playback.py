@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cep.io.files import PSF_SUFFIXES, StoredCode, write_code, write_psf
 from cep.io.outputs import new_folder
 from cep.optics.as_played import achieved_code, achieved_psf
@@ -18,6 +21,8 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
 __all__ = ["Playback", "playback_files", "read_playback"]
+
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,17 @@ class Playback:
         """The first play's code, with its measured chip time."""
         return achieved_code(self.plays[0], chip_ns=self.program.chip_ns)
 
+    def psf(self, motion: Trajectory, *, size: int = PSF_PX) -> FloatArray:
+        """PSF of the first play along a motion, (size, size), light-true: :func:`cep.optics.as_played.achieved_psf`.
+
+        Raises
+        ------
+        ValueError
+            If the path as played leaves the frame, no chip was open, or the clock was so slow that the motion is not
+            known for as long.
+        """
+        return achieved_psf(motion, self.plays[0], chip_ns=self.program.chip_ns, size=size)
+
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep hw verify --json`` prints them."""
         return {"played": not self.wrong, "plays": [_figures(play) for play in self.plays]}
@@ -68,8 +84,7 @@ class Playback:
             write_code(made / output.name, StoredCode(self.code, problem={"played": play.verdict}))
             if motion is not None:
                 size = max(PSF_PX, 2 * motion.frame_size())  # a slow clock goes on beyond the motion that was asked for
-                psf = achieved_psf(motion, play, chip_ns=self.program.chip_ns, size=size)
-                write_psf(made, psf, stem=_psf_stem(output))
+                write_psf(made, self.psf(motion, size=size), stem=_psf_stem(output))
         return files
 
 
@@ -80,7 +95,7 @@ def playback_files(path: Path | str, *, with_psf: bool) -> list[Path]:
 
 
 def read_playback(
-    capture: Path | str, program: Program, *, signal: str | None = None, trigger: str | None = None
+    capture: Path | str, program: Program | ShutterCode, *, signal: str | None = None, trigger: str | None = None
 ) -> Playback:
     """Read a recording of a shutter, and find the plays of a program in it.
 
@@ -88,7 +103,8 @@ def read_playback(
     ----------
     capture : path
         VCD, or a CSV export of Saleae Logic.
-    program : Program
+    program : Program or ShutterCode
+        That should have been played; a code with its chip time.
     signal : str, optional
         The shutter's; the busiest one when omitted.
     trigger : str, optional
@@ -98,7 +114,23 @@ def read_playback(
     ------
     ValueError
         If the recording cannot be read or has no such signal, or nothing was played into it.
+
+    Examples
+    --------
+    A recording of an ideal shutter, as the exporter writes it:
+
+    >>> from tempfile import TemporaryDirectory
+    >>> from hw.export import EXPORTERS
+    >>> code = ShutterCode("110100100011", chip_ns=200_000)
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder, "played.vcd")
+    ...     _ = file.write_text(EXPORTERS["vcd"].export(Program.from_bits(code.bits, chip_ns=code.chip_ns)))
+    ...     found = read_playback(file, code)
+    >>> found.code == code, round(float(found.psf(Trajectory.straight(20.0)).sum()), 6)
+    (True, 0.5)
     """
+    if isinstance(program, ShutterCode):
+        program = Program.from_bits(program.bits, chip_ns=program.chip_ns)
     recording = read_capture(capture)
     trace = recording.trace(signal)
     plays = align(trace, program, trigger=recording.trace(trigger) if trigger else None)

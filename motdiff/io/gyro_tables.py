@@ -71,6 +71,16 @@ def read_gyro(path: Path | str, *, time_unit: TimeUnit | None = None, rate_unit:
         If the file is not such a table: one line naming the file, the row and what is wrong.
     OSError
         If the file cannot be read.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     log = Path(folder, "gyro.csv")
+    ...     np.savetxt(log, [[0, 0, 90, 0], [5, 0, 90, 0]], header="t_ms gx_dps gy_dps gz_dps", comments="")
+    ...     trace = read_gyro(log)
+    >>> round(trace.sample_rate_hz), trace.rate_rad_s[0].round(4).tolist()
+    (200, [0.0, 1.5708, 0.0])
     """
     for name, unit, known in (("time_unit", time_unit, _SECONDS), ("rate_unit", rate_unit, _RADIANS)):
         if unit is not None and unit not in known:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cep.io.files import read_code
+from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.workflows.playback import playback_files, read_playback
 from hw.export import EXPORTERS
@@ -32,6 +33,13 @@ def test_the_code_that_was_played_and_its_psf_are_saved(recording, tmp_path):
     assert found.code.bits == PROGRAM.bits
     psf = np.load(tmp_path / "seen_psf.npy")  # float32
     np.testing.assert_allclose(psf, coded_psf(PATH, found.code, size=PSF_PX), atol=1e-6)
+
+
+def test_a_code_with_its_chip_time_is_a_program(recording):
+    code = ShutterCode(PROGRAM.bits, PROGRAM.chip_ns)
+    found = read_playback(recording, code)
+    assert found.program == PROGRAM
+    np.testing.assert_allclose(found.psf(PATH), coded_psf(PATH, code, size=PSF_PX), atol=1e-9)
 
 
 def test_a_play_of_another_code_is_told_by_its_number(recording):
