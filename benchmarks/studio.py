@@ -112,10 +112,10 @@ def in_browser(address: str, changes: int, peak: Peak) -> None:
         for name, state in STATES.items():
             page.evaluate("state => { location.hash = state; }", state)
             wait(page)
-            row(f"flip a chip: {name}", page.evaluate(FLIPS, changes))
+            row(f"flip a chip: {name}", page, FLIPS, changes, peak.pid)
         page.evaluate("() => { location.hash = 'motion=straight:40:0'; }")
         wait(page)
-        row("drag the length of a straight motion", page.evaluate(DRAGS, changes))
+        row("drag the length of a straight motion", page, DRAGS, changes, peak.pid)
         page.evaluate("() => { location.hash = 'motion=example:shake'; }")
         wait(page)
         page.evaluate(SEARCH)
@@ -123,7 +123,7 @@ def in_browser(address: str, changes: int, peak: Peak) -> None:
         other = context.new_page()
         other.goto(address.split("?")[0] + "#motion=example:shake")
         wait(other)
-        row("flip a chip on a second page while the first one searches", other.evaluate(FLIPS, changes))
+        row("flip a chip on a second page while the first one searches", other, FLIPS, changes, peak.pid)
         running = page.locator("#stop").is_visible()
         print(f"the search was {'still running' if running else 'over already'}; memory so far {peak.now():.0f} MB")
         if running:
@@ -221,9 +221,42 @@ def wait(page: object) -> None:
         time.sleep(0.01)
 
 
-def row(name: str, times_ms: list[float]) -> None:
-    median, high = np.percentile(times_ms, [50, 95])
-    print(f"{name}: median {median:.0f} ms, p95 {high:.0f} ms, {len(times_ms)} changes, load {os.getloadavg()[0]:.1f}")
+def row(name: str, page: object, script: str, changes: int, server: int) -> None:
+    """Print the times of changes, and the processor time that each took: the server's, and the browser's."""
+    before = cpu_s(server)
+    median, high = np.percentile(page.evaluate(script, changes), [50, 95])  # type: ignore[attr-defined]
+    took = [1000 * (after - begun) / changes for begun, after in zip(before, cpu_s(server), strict=True)]
+    print(
+        f"{name}: median {median:.0f} ms, p95 {high:.0f} ms; processor {took[0]:.0f} ms in the server, "
+        f"{took[1]:.0f} ms in the browser; {changes} changes, load {os.getloadavg()[0]:.1f}",
+        flush=True,
+    )
+
+
+def cpu_s(server: int) -> tuple[float, float]:
+    """Processor seconds of the server itself, without its jobs, and of the browser with all its processes."""
+
+    def of(pid: int) -> float:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    ours = family(os.getpid())
+    servers = set(family(server))
+    return of(server), sum(of(pid) for pid in ours if pid not in servers and pid != os.getpid())
+
+
+def family(root: int) -> list[int]:
+    """List a process and all that it started."""
+    parents = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parents[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+        except (OSError, ValueError):
+            continue
+    found = [root]
+    for pid in found:
+        found += [child for child, parent in parents.items() if parent == pid]
+    return found
 
 
 class Peak:
@@ -235,7 +268,7 @@ class Peak:
 
     def now(self) -> float:
         """Return what it is now."""
-        return sum(self._pss(pid) for pid in self._family())
+        return sum(self._pss(pid) for pid in family(self.pid))
 
     def reset(self) -> None:
         """Begin anew."""
@@ -248,18 +281,6 @@ class Peak:
     def _watch(self) -> None:
         while not self._over.wait(0.1):
             self.most = max(self.most, self.now())
-
-    def _family(self) -> list[int]:
-        parents = {}
-        for folder in Path("/proc").glob("[0-9]*"):
-            try:
-                parents[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            except (OSError, ValueError):
-                continue
-        found = [self.pid]
-        for pid in found:
-            found += [child for child, parent in parents.items() if parent == pid]
-        return found
 
     @staticmethod
     def _pss(pid: int) -> float:

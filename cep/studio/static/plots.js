@@ -22,7 +22,7 @@ function frame(svg, { x, y, xTicks, yTicks, xName, yName, xText = String, yText 
   const { width, height, em } = sizeOf(svg);
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   svg.replaceChildren();
-  Object.assign(EDGE, { left: 3.4 * em, right: em, top: 0.9 * em, bottom: 2.9 * em });
+  Object.assign(EDGE, { left: 3.4 * em, right: 2.2 * em, top: 0.9 * em, bottom: 2.9 * em });
   const inner = { w: width - EDGE.left - EDGE.right, h: height - EDGE.top - EDGE.bottom };
   const px = (value) => EDGE.left + (inner.w * (value - x[0])) / (x[1] - x[0]);
   const py = (value) => EDGE.top + (inner.h * (y[1] - value)) / (y[1] - y[0]);
@@ -143,7 +143,8 @@ export function drawGains(svg, advice) {
   const gains = levels.flatMap((one) => Object.values(one.gains_db)).filter(Number.isFinite);
   const top = Math.max(1, Math.ceil(Math.max(0, ...gains))), bottom = Math.min(0, Math.floor(Math.min(0, ...gains)));
   const step = Math.max(1, Math.round((top - bottom) / 5));
-  const yTicks = Array.from({ length: Math.floor((top - bottom) / step) + 1 }, (_, i) => bottom + i * step);
+  const first = Math.ceil(bottom / step) * step;
+  const yTicks = Array.from({ length: Math.floor((top - first) / step) + 1 }, (_, i) => first + i * step);
   const low = light[0], high = Math.max(light.at(-1), low + 0.1);
   const place = frame(svg, {
     x: [low, high], y: [bottom, top], xTicks: [2, 3, 4, 5].filter((tick) => tick >= low && tick <= high), yTicks,

@@ -431,8 +431,9 @@ function played(found) {
   if (found.edges_ns.length) {
     said.push(`Its ${found.edges_ns.length} edges as played are under the strip.`);
     drawPlayed($("played"), found.edges_ns, shown.code.chip_ns * shown.code.chips);
+    $("played").scrollIntoView({ block: "nearest" });
   }
-  $("play-line").textContent = said.join(" ");
+  $("play-line").textContent = said.map(sentence).join(" ");
 }
 
 async function begin(kind, more = {}) {

@@ -1,12 +1,15 @@
+import asyncio
 import base64
 import json
 
 import numpy as np
 import pytest
 from hostile_requests import hostile
+from starlette.requests import ClientDisconnect
 
 import cep
 from cep.io.images import encode_image
+from cep.studio.uploads import Uploads
 
 
 def posted(client, name, **asked):
@@ -150,3 +153,19 @@ def test_hostile_requests_are_refused_and_leave_nothing(client, keys):
         assert "Traceback" not in answer.text
     assert files_of(client) == before
     assert client.get("/").status_code == 200
+
+
+@pytest.mark.parametrize("kind", ["photo", "text"])
+def test_half_an_upload_leaves_nothing(kind):
+    async def half():
+        yield b"\x89PNG\r\n\x1a\n" + bytes(100)
+        raise ClientDisconnect
+
+    uploads = Uploads()
+    try:
+        with pytest.raises(ClientDisconnect):
+            asyncio.run(uploads.photo(half()) if kind == "photo" else uploads.text(half(), ".json"))
+        assert list(uploads.folder.iterdir()) == []
+    finally:
+        uploads.close()
+    assert not uploads.folder.exists()
