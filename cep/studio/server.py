@@ -18,6 +18,7 @@ from starlette.middleware import Middleware
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
+from threadpoolctl import threadpool_limits
 
 from cep.studio.documents import opened_document, opened_gyro
 from cep.studio.jobs import BusyError, Job, Jobs
@@ -151,7 +152,8 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         studio.jobs.warm()
-        yield
+        with threadpool_limits(limits=1, user_api="blas"):  # small products: more threads only wait for each other
+            yield
         studio.close()
 
     def answering(answer: Answer) -> Callable[[Request], Awaitable[Response]]:

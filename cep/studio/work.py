@@ -23,7 +23,7 @@ Order = Mapping[str, Any]
 Tell = Callable[..., None]
 _EVERY_S = 0.1  # between two messages of progress
 _PREVIEW_PX, _SCENE_PX = 1600, 420
-_SEARCHED_PX = 768  # side of the part of a photo; crops of a few hundred px are searched anyway
+_SEARCHED_PX = 576  # side of the part of a photo; crops of a few hundred px are searched anyway
 _UNO = "cxp-avr"  # profile of the emulated controller
 _CALM = 5  # niceness: the page goes first
 
