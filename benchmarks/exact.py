@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import time
 
+from cep.search.exhaustive.block_proof import judge_block, plan_blocks
 from cep.search.exhaustive.exact import ExactResult, exact
 from cep.search.problem import SearchProblem
 
@@ -64,6 +65,21 @@ def speed(threads: int) -> None:
         )
 
 
+def compare(chips: int) -> None:
+    """Print processor seconds of the scan with bit tables and of the folded one, both with the optimum as bound."""
+    problem = SearchProblem(chips=chips)
+    known, seconds = timed(problem, 1)
+    plan = plan_blocks(problem)
+    records = [
+        judge_block(plan.chips, plan.fewest, plan.most, block.first, block.until, known.proof.lower)
+        for block in plan.blocks
+    ]
+    assert sum(record["codes"] for record in records) == plan.codes
+    assert known.code.bits.strip("0") in " ".join(str(record["survivors"]) for record in records)
+    folded = sum(float(record["seconds"]) for record in records)
+    print(f"n = {chips}: bit tables {seconds:.2f} cpu s, folds {folded:.2f} cpu s", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--most", type=int, default=36, help="chips of the last row, free open count")
@@ -71,8 +87,14 @@ def main() -> None:
         "--most-by-open", type=int, default=20, help="chips of the last row, per open count; 0 for none"
     )
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--compare", type=int, nargs="+", default=(), help="chips: only compare the two scans")
     args = parser.parse_args()
     exact(SearchProblem(chips=20), threads=1)
+    if args.compare:
+        judge_block(12, 1, 12, 0, 25, 1.0)
+        for chips in args.compare:
+            compare(chips)
+        return
     speed(args.threads)
     free(args.most, args.threads)
     if args.most_by_open:

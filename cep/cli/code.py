@@ -58,6 +58,10 @@ def audit(
     photons: Photons = None,
     read_noise: ReadNoise = None,
     figure: Figures = None,
+    blocks: Annotated[
+        int | None,
+        typer.Option("--blocks", metavar="N", min=1, help="Of a proof: blocks to judge again; 4 when omitted."),
+    ] = None,
     output: Annotated[Path | None, output_option("Also write the result as JSON.")] = None,
     force: Force = False,
     seed: Seed = 0,
@@ -72,22 +76,41 @@ def audit(
     dB, those of codes with a zero, are null in JSON. figures has those of --figure: a number, or [forward, backward]
     where the direction is unknown.
 
+    In place of a code it takes the proof.jsonl of cep optimize --method exact --cache DIR. A second, separate program
+    counts its blocks, judges every survivor, and judges folds of a few blocks again; --seed draws them. A proof that
+    does not hold is refused with the reason.
+
     Example: cep audit 1010000111000001010000110011110111010111001001100111
 
     Example: cep audit code.json --trajectory trajectory.json --json
 
     Example: cep audit code.json --linear 40 --figure mymodule:my_figure
+
+    Example: cep audit proof44/proof.jsonl --blocks 8
     """
     from cep.codes.sources import find_code
     from cep.io.files import json_text
     from cep.io.outputs import claim, write_text
     from cep.proofs.audit import audit as audited
     from cep.proofs.measure import find_figures
+    from cep.proofs.verify.blocks import is_proof
     from cep.proofs.verify.certificates import verify
     from cep.search.problem import SearchProblem
     from cep.workflows.advise import verdict as judge
     from motdiff.io.trajectories import stated_uncertainty_px
 
+    if is_proof(code):
+        given = {
+            "--trajectory": trajectory, "--linear": linear, "--flips": flips, "--chip-ns": chip_ns, "--camera": camera,
+            "--photons": photons, "--read-noise": read_noise, "--figure": figure,
+        }  # fmt: skip
+        for name, value in given.items():
+            if value is not None and value != []:
+                raise ValueError(f"{name}: not valid with a proof, which holds for the unit circle")
+        _audit_proof(Path(code), blocks or 4, output, force=force, seed=seed, as_json=as_json)
+        return
+    if blocks is not None:
+        raise ValueError(f"--blocks: needs a proof.jsonl, {code} is none")
     stored = find_code(code, chip_ns=chip_ns)
     noise = load_camera(camera, photons=photons, read_noise=read_noise)
     stated = trajectory is not None or linear is not None
@@ -125,6 +148,39 @@ def audit(
     if output:
         write_text(output, json_text(result))
     finish(result, as_json=as_json, show=lambda console: _show(console, found, verdict, said=said))
+
+
+def _audit_proof(path: Path, blocks: int, output: Path | None, *, force: bool, seed: int, as_json: bool) -> None:
+    """Check a proof in blocks; refuse one that does not hold."""
+    from dataclasses import asdict
+
+    import numpy as np
+
+    from cep.io.files import json_text
+    from cep.io.outputs import claim, write_text
+    from cep.proofs.verify.blocks import verify_proof
+
+    claim([output] if output else [], force=force, inputs=[path])
+    with progress("auditing") as tick:
+        verdict = verify_proof(path, blocks=blocks, rng=np.random.default_rng(seed), progress=tick)
+    if not verdict:
+        raise ValueError(f"{path}: the proof does not hold: {verdict.reasons[-1]}")
+    result = {"proof": path, **asdict(verdict), "seed": seed, "warnings": []}
+    if output:
+        write_text(output, json_text(result))
+
+    def show(console: Console) -> None:
+        opened = f"{verdict.fewest_open} to {verdict.most_open}"
+        if verdict.fewest_open == verdict.most_open:
+            opened = str(verdict.most_open)
+        console.print(
+            f"holds: no code of at most {verdict.chips} chips with {opened} open has a larger minimum of |P| than "
+            f"{verdict.minimum:.6f}, of {verdict.bits}"
+        )
+        for reason in verdict.reasons:
+            console.print(f"  {reason}")
+
+    finish(result, as_json=as_json, show=show)
 
 
 def _show(console: Console, found: Audit, verdict: Verdict | None, *, said: str | None) -> None:

@@ -198,6 +198,8 @@ def optimize(
 
     Example: cep optimize --linear 36 --chips 36 --method exact
 
+    Example: cep optimize --linear 44 --chips 44 --method exact --workers 2 --cache proof44
+
     Example: cep optimize --linear 52 --open 26 --objective min-mtf:0.15,noise:1
 
     Example: cep optimize --each shots_motion --chips 40 --duty 0.4:0.6 --steps 4000000
@@ -305,7 +307,17 @@ def optimize(
                 as_json=as_json,
             )
         else:
-            only_of_folders("--each", workers, dask, cache)
+            blocks = None
+            if method == "exact" and frames == 1:
+                if cache is not None:
+                    from cep.jobs.engine import Engine
+
+                    blocks = Engine.of(cache, cache=cache, workers=workers, dask=dask)
+                elif workers is not None or dask is not None:
+                    option = "--dask" if workers is None else "--workers"
+                    raise ValueError(f"{option}: a proof in blocks needs --cache DIR, the folder that keeps them")
+            else:
+                only_of_folders("--each", workers, dask, cache)
             if trajectory is not None and trajectory.is_dir():
                 raise ValueError(f"{trajectory}: is a folder; --each FOLDER searches a code for each motion in it")
             stored = load_motion(trajectory, linear)
@@ -340,7 +352,7 @@ def optimize(
                 best = find(
                     wanted.problem, **(asdict(how) | {"time_s": left_s}), along=wanted.along, path_error_px=error_px,
                     start=[] if chosen is None or chosen.code is None else [chosen.code],
-                    interrupted=chosen is not None and chosen.early == "interrupted", figures=own,
+                    interrupted=chosen is not None and chosen.early == "interrupted", figures=own, blocks=blocks,
                     progress=part(tick, 0.0 if chosen is None else _CHOOSING, 1.0), on_found=keep,
                 )  # fmt: skip
                 best = replace(best, how=how)  # the limit that a warning names is the one that was given

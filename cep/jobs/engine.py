@@ -14,7 +14,7 @@ from cep.jobs.cells import Cell, Figure, Finished, Result, fingerprints, pinned,
 from cep.jobs.executors import Tasks, in_processes, on_cluster
 from cep.jobs.machine import machine
 
-__all__ = ["Engine", "Outcome", "run_cells"]
+__all__ = ["Engine", "Outcome", "run_cells", "run_tasks"]
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def _run(
             tell(key)
             progress(count / len(by_key), f"{count} of {len(by_key)} cells")
         began_s = time.monotonic()
-        with closing(_finishing(waiting, workers=workers, dask=dask)) as stream:
+        with closing(run_tasks(waiting, workers=workers, dask=dask)) as stream:
             for key, came in stream:
                 if not came.failure:
                     store.keep(key, by_key[key], came)
@@ -196,7 +196,15 @@ def _no_empty_folder(folder: Path) -> Iterator[None]:
         raise
 
 
-def _finishing(waiting: Tasks, *, workers: int, dask: str | None) -> Generator[tuple[str, Finished]]:
+def run_tasks(waiting: Tasks, *, workers: int, dask: str | None) -> Generator[tuple[str, Finished]]:
+    """Yield tasks as they finish, with no cache: for work whose results have a file of their own.
+
+    Parameters
+    ----------
+    waiting : mapping from a key to a function and its arguments
+    workers, dask
+        As of :func:`run_cells`.
+    """
     if dask is not None and waiting:
         yield from on_cluster(waiting, dask)
     elif workers > 1 and len(waiting) > 1:

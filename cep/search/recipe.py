@@ -21,7 +21,7 @@ from cep.codes.published import for_chips
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import Stopped, anneal
 from cep.search.dnf import dnf_search
-from cep.search.exhaustive.exact import codes_to_count, exact
+from cep.search.exhaustive.exact import ExactResult, codes_to_count, exact
 from cep.search.light import best_snapshot, best_strobe, random_codes
 from cep.search.limits import nearest
 from cep.search.objective import Objective
@@ -169,6 +169,7 @@ def prove_code(
     length_px: float | None = None,
     progress: Callable[[float, ShutterCode], None] | None = None,
     threads: int | None = None,
+    count: Callable[..., ExactResult] = exact,
 ) -> Found:
     """Count all codes for the best; where Ctrl-C stops that, a baseline may be the best yet.
 
@@ -179,13 +180,15 @@ def prove_code(
         Of the baselines, as of :func:`baselines`; the count runs to its end.
     progress, threads
         Of the count, as :func:`cep.search.exhaustive.exact.exact` takes them.
+    count : callable
+        That function, or another proof that takes the same.
 
     Raises
     ------
     ValueError
         If the problem is not one that can be counted.
     """
-    proven = exact(problem, threads=threads, progress=progress)
+    proven = count(problem, threads=threads, progress=progress)
     judge = Objective(problem, oversampling=_FINE, dtype=np.float64)
     known: list[Baseline] = []
     with suppress(KeyboardInterrupt):

@@ -1,4 +1,4 @@
-"""Log of an exhaustive proof: discarded codes per length, and the minimum of the best code."""
+"""Logs of exhaustive proofs: discarded codes per length or per block, and the minimum of the best code."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import Minimum
 
-__all__ = ["ExactResult", "LengthLog", "ProofLog"]
+__all__ = ["BlockLog", "ExactResult", "LengthLog", "ProofLog"]
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,49 @@ class ProofLog:
         return cls(**{**data, "lengths": tuple(lengths)})
 
 
+@dataclass(frozen=True, kw_only=True)
+class BlockLog:
+    """Summary of a proof in blocks; the records are in its file.
+
+    Attributes
+    ----------
+    chips : int
+    limits : dict
+    domain : str
+    file : str
+    blocks, finished : int
+    codes, judged : int
+        Of the ring on which codes are folded, each way round and closed chips at either end included: all of them, and
+        those of finished blocks.
+    bound : float
+        The highest under which a block was judged.
+    bits : str
+        Best code.
+    lower, upper : float
+        The largest minimum lies between them; ``upper`` is Parseval's bound until the proof is complete.
+    cpu_s : float
+        Processor time of the finished blocks.
+    """
+
+    chips: int
+    limits: dict[str, int | str | None]
+    domain: str
+    file: str
+    blocks: int
+    finished: int
+    codes: int
+    judged: int
+    bound: float
+    bits: str
+    lower: float
+    upper: float
+    cpu_s: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give the summary as JSON-ready data."""
+        return asdict(self)
+
+
 @dataclass(frozen=True)
 class ExactResult:
     """The best code of all, or the best so far.
@@ -113,7 +156,7 @@ class ExactResult:
     code : ShutterCode
     minimum : Minimum
         Of |P| on the unit circle in chips, or of |H| over the band along the worst of the problem's trajectories.
-    proof : ProofLog
+    proof : ProofLog or BlockLog
     seconds : float
     proven : bool
         Whether no code is better; False when interrupted.
@@ -121,6 +164,6 @@ class ExactResult:
 
     code: ShutterCode
     minimum: Minimum
-    proof: ProofLog
+    proof: ProofLog | BlockLog
     seconds: float
     proven: bool

@@ -376,3 +376,22 @@ def test_a_class_and_what_does_not_go_with_it(cep, workplace, options, message):
     Path("empty").mkdir()
     assert message in cep.refuses("optimize", *options, "-o", "refused.json")
     assert not Path("refused.json").exists()
+
+
+def test_a_proof_in_blocks_is_kept_continued_and_audited(cep, workplace):
+    asked = ("optimize", "--linear", "14", "--chips", "14", "--method", "exact", "--workers", "1", "--cache", "kept")
+    found = cep.succeeds(*asked, "-o", "best.json")
+    assert found["proven"]
+    assert found["bits"] == "11111001101010"
+    lines = Path("kept/proof.jsonl").read_text()
+    assert cep.succeeds(*asked, "-o", "again.json")["bits"] == found["bits"]
+    assert Path("kept/proof.jsonl").read_text() == lines
+    audited = cep.succeeds("audit", "kept/proof.jsonl", "--blocks", "20")
+    assert (audited["holds"], audited["bits"]) == (True, "1111100110101")
+    other = ("optimize", "--linear", "15", "--chips", "15", "--method", "exact", "--cache", "kept", "-o", "other.json")
+    assert "a proof for 14 chips" in cep.refuses(*other)
+    Path("kept/proof.jsonl").write_text("".join(line for line in lines.splitlines(True)[:-1]))
+    assert "the proof does not hold: the block of prefixes" in cep.refuses("audit", "kept/proof.jsonl")
+    assert "--linear: not valid with a proof" in cep.refuses("audit", "kept/proof.jsonl", "--linear", "5")
+    assert "--workers: a proof in blocks needs --cache" in cep.refuses(*asked[:-2], "-o", "new.json")
+    assert not Path("other.json").exists()

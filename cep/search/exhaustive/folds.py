@@ -1,0 +1,478 @@
+"""Compiled scan of a proof in blocks: codes are judged by their folded sums, whole families of codes at once.
+
+On the N = 4 q roots of unity a code may be rotated: chips that leave at one end come in at the other, and no |P|
+changes. There P splits, as in a fast Fourier transform. At every fourth root it depends on the sums g of chips a
+quarter apart, at the others of even order on the differences d of chips half folded, at the rest on the differences e
+of chips half a ring apart:
+
+    g[i] = a[i] + a[i + q] + a[i + 2 q] + a[i + 3 q]           0..4, q of them
+    f[i] = a[i] + a[i + 2 q],  d[i] = f[i] - f[i + q]
+    e[i] = a[i] - a[i + 2 q]
+
+One g below the limit discards up to 6^q codes, one f below it up to 2^(2 q). Of all g that are rotations or mirror
+images of each other one is taken. What is left at all N roots is turned to each of its N rotations and judged between
+the roots, where rotations differ, as codes of at most n <= N chips.
+
+Nothing is discarded without a frequency at which its |P| is below the limit, less an allowance for float32.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.compiled import compiled, inlined
+
+__all__ = ["COUNTS", "LANES", "Folding", "codes_by_prefix", "folding", "scan_prefixes"]
+
+LANES = 16  # codes or frequencies side by side
+COUNTS = ("folds", "folds_left", "halves", "halves_left", "rings", "rings_left", "turns", "turns_left")
+"""Counters of :func:`scan_prefixes`: sums g, sums f, codes up to rotation, and codes; judged, and left."""
+
+_PREFIX = 6  # sums by which blocks are cut
+_INNER = 96  # combinations of d side by side, at least where there are so many
+_WITHIN = 8  # places e whose signs are side by side
+_ROUNDING = 128 * 64 * 2.0**-24  # of at most 64 chips in float32: 128 additions, no sum above 64
+
+Floats = NDArray[np.float32]
+Words = NDArray[np.uint64]
+Counts = NDArray[np.int64]
+
+
+class Folding(NamedTuple):
+    """Frequencies and limits of a scan.
+
+    Attributes
+    ----------
+    quarter : int
+        q; the ring has N = 4 q chips.
+    chips : int
+        Longest code of interest, at most N.
+    fewest, most : int
+        Open chips.
+    prefix : int
+        Sums g by which blocks are cut.
+    g_waves : (q, 2, F) float32
+        Contribution of each sum at the roots that depend on g alone: real and imaginary parts.
+    d_waves : (q, 2, F), e_waves : (2 q, 2, F) float32
+        Of each difference; F is a multiple of four and sixteen, the last frequencies repeat the first.
+    between : (B, N, 2, 16) float32
+        Of each chip at frequencies between the roots, sixteen at a time.
+    limit2 : float32
+        Smallest |P|^2 of interest, less rounding.
+    """
+
+    quarter: int
+    chips: int
+    fewest: int
+    most: int
+    prefix: int
+    g_waves: Floats
+    d_waves: Floats
+    e_waves: Floats
+    between: Floats
+    limit2: np.float32
+
+
+def folding(chips: int, open_range: tuple[int, int], limit: float) -> Folding:
+    """Set up a scan of codes of at most so many chips for those whose |P| may be nowhere below the limit."""
+    quarter = max(3, -(-chips // 4))
+    ring = 4 * quarter
+
+    def waves(places: int, order: int, turns: NDArray[np.int64], multiple: int) -> Floats:
+        turns = np.resize(turns, -(-turns.size // multiple) * multiple)
+        angle = -2 * np.pi * (np.outer(turns, np.arange(places)) % order) / order
+        return np.ascontiguousarray(np.stack([np.cos(angle), np.sin(angle)]).transpose(2, 0, 1), dtype=np.float32)
+
+    odd = np.arange(1, 4 * ring, 2)
+    between = np.concatenate(
+        [waves(ring, order, odd[: order // 4], LANES) for order in (2 * ring, 4 * ring, 8 * ring)], axis=2
+    )
+    limit2 = max(limit - np.sqrt(2) * _ROUNDING, 0.0) ** 2
+    return Folding(
+        quarter, chips, *open_range, min(_PREFIX, quarter - 1),
+        waves(quarter, quarter, np.arange(1, quarter // 2 + 1), 1),
+        waves(quarter, 2 * quarter, odd[odd <= quarter], 4),
+        waves(2 * quarter, ring, odd[:quarter], LANES),
+        np.ascontiguousarray(between.reshape(ring, 2, -1, LANES).transpose(2, 0, 1, 3)),
+        np.float32(limit2 * (1 - 2.0**-20)),
+    )  # fmt: skip
+
+
+@compiled
+def _images(packed: int, quarter: int) -> int:
+    """Rotations and mirror images of a fold that differ from each other; 0 where another one is the larger.
+
+    ``packed`` has three bits a sum, the first sum in the highest.
+    """
+    mask = (1 << (3 * quarter)) - 1
+    mirror, rest = 0, packed
+    for _ in range(quarter):
+        mirror = (mirror << 3) | (rest & 7)
+        rest >>= 3
+    same = 0
+    turned = packed
+    for _ in range(quarter):
+        turned = ((turned << 3) | (turned >> (3 * (quarter - 1)))) & mask
+        if turned > packed:
+            return 0
+        same += turned == packed
+    turned = mirror
+    for _ in range(quarter):
+        turned = ((turned << 3) | (turned >> (3 * (quarter - 1)))) & mask
+        if turned > packed:
+            return 0
+        same += turned == packed
+    return 2 * quarter // same
+
+
+@compiled
+def _letters(index: int, count: int, into: Counts, at: int) -> bool:
+    """Write the sums of a prefix or suffix from ``at`` on; whether, at 0, the largest rotation may begin so."""
+    for place in range(count):
+        into[at + count - 1 - place] = index % 5
+        index //= 5
+    if at == 0:
+        for shift in range(1, count):
+            for place in range(count - shift):
+                if into[shift + place] != into[place]:
+                    if into[shift + place] > into[place]:
+                        return False
+                    break
+    return True
+
+
+@compiled
+def codes_by_prefix(quarter: int, prefix: int, fewest: int, most: int) -> Counts:
+    """Count the codes, of N = 4 q chips each way round, that each prefix accounts for, (5^prefix,) int64."""
+    total = np.zeros(5**prefix, np.int64)
+    ways = np.array([1, 4, 6, 4, 1])
+    g, suffix = np.zeros(quarter, np.int64), quarter - prefix
+    for p in range(total.size):
+        if not _letters(p, prefix, g, 0):
+            continue
+        for s in range(5**suffix):
+            _letters(s, suffix, g, prefix)
+            opened, packed = 0, 0
+            for i in range(quarter):
+                opened += g[i]
+                packed = (packed << 3) | g[i]
+            if opened < fewest or opened > most:
+                continue
+            codes = _images(packed, quarter)
+            if codes == 0:
+                continue
+            for i in range(quarter):
+                codes *= ways[g[i]]
+            total[p] += codes
+    return total
+
+
+@inlined
+def _spread(low: Floats, number: Counts, places: Counts, until: int, waves: Floats, flat: Floats) -> int:
+    """Sum all combinations of the first places' values, (F, 2, C); returns how many there are.
+
+    Place i takes ``number[i]`` values from ``low[i]`` on, two apart; the first place's change fastest.
+    """
+    count = 1
+    for j in range(flat.shape[0]):
+        flat[j, 0, 0] = 0.0
+        flat[j, 1, 0] = 0.0
+    for i in range(until):
+        for j in range(flat.shape[0]):
+            for part in range(2):
+                wave, known = waves[places[i], part, j], flat[j, part, :count]
+                for k in range(number[i] - 1, -1, -1):
+                    new = flat[j, part, k * count : (k + 1) * count]
+                    add = (low[i] + np.float32(2 * k)) * wave
+                    for c in range(count):
+                        new[c] = known[c] + add
+        count *= number[i]
+    return count
+
+
+@inlined
+def _spread_signs(places: Counts, within: int, waves: Floats, signs: Floats, table: Floats) -> int:
+    """Sum the first places' waves, the first one's as it is, the others' with either sign; returns how many blocks."""
+    for j in range(table.shape[0]):
+        for part in range(2):
+            first = waves[places[0], part, j]
+            w1 = waves[places[1], part, j] if within > 1 else np.float32(0)
+            w2 = waves[places[2], part, j] if within > 2 else np.float32(0)
+            w3 = waves[places[3], part, j] if within > 3 else np.float32(0)
+            w4 = waves[places[4], part, j] if within > 4 else np.float32(0)
+            for i in range(5, within):
+                first -= waves[places[i], part, j]
+            for q in range(LANES):
+                table[j, part, 0, q] = (
+                    (first + signs[0, q] * w1) + signs[1, q] * w2 + (signs[2, q] * w3 + signs[3, q] * w4)
+                )
+            known = 1
+            for i in range(5, within):
+                add = np.float32(2) * waves[places[i], part, j]
+                for block in range(known):
+                    for q in range(LANES):
+                        table[j, part, known + block, q] = table[j, part, block, q] + add
+                known *= 2
+    return 1 << max(within - 5, 0)
+
+
+@inlined
+def _kept(outer: Floats, table: Floats, blocks: int, count: int, limit2: np.float32, keep: Floats, out: Counts) -> int:
+    """Find the combinations that with the outer sums, (2, F), are nowhere below the limit; returns how many."""
+    number = 0
+    for block in range(blocks):
+        some = np.float32(1)
+        for q in range(LANES):
+            keep[q] = np.float32(1)
+        for j in range(0, table.shape[0], 4):  # F is a multiple of four
+            some = np.float32(0)
+            x0, y0, x1, y1 = outer[0, j], outer[1, j], outer[0, j + 1], outer[1, j + 1]
+            x2, y2, x3, y3 = outer[0, j + 2], outer[1, j + 2], outer[0, j + 3], outer[1, j + 3]
+            for q in range(LANES):
+                a0, b0 = x0 + table[j, 0, block, q], y0 + table[j, 1, block, q]
+                a1, b1 = x1 + table[j + 1, 0, block, q], y1 + table[j + 1, 1, block, q]
+                a2, b2 = x2 + table[j + 2, 0, block, q], y2 + table[j + 2, 1, block, q]
+                a3, b3 = x3 + table[j + 3, 0, block, q], y3 + table[j + 3, 1, block, q]
+                low = min(min(a0 * a0 + b0 * b0, a1 * a1 + b1 * b1), min(a2 * a2 + b2 * b2, a3 * a3 + b3 * b3))
+                left = keep[q] if low >= limit2 else np.float32(0)
+                keep[q] = left
+                some += left
+            if some == 0:
+                break
+        if some > 0:
+            for q in range(LANES):
+                if keep[q] > 0 and block * LANES + q < count:
+                    out[number] = block * LANES + q
+                    number += 1
+    return number
+
+
+@inlined
+def _turned(code: np.uint64, at: int, ring: int) -> np.uint64:
+    """Return the code that begins at a chip of the ring."""
+    if at == 0:
+        return code
+    mask = (np.uint64(1) << np.uint64(ring)) - np.uint64(1)
+    return ((code >> np.uint64(at)) | (code << np.uint64(ring - at))) & mask
+
+
+@compiled
+def _reaches(code: np.uint64, ring: int, between: Floats, limit2: np.float32, sums: Floats) -> bool:
+    """Whether |P|^2 is not below the limit between the roots either."""
+    for block in range(between.shape[0]):
+        for q in range(LANES):
+            sums[0, q] = np.float32(0)
+            sums[1, q] = np.float32(0)
+        for i in range(ring):
+            if (code >> np.uint64(i)) & np.uint64(1):
+                for q in range(LANES):
+                    sums[0, q] += between[block, i, 0, q]
+                    sums[1, q] += between[block, i, 1, q]
+        below = 0
+        for q in range(LANES):
+            below += sums[0, q] * sums[0, q] + sums[1, q] * sums[1, q] < limit2
+        if below:
+            return False
+    return True
+
+
+@compiled
+def _turns(
+    code: np.uint64,
+    fold: Folding,
+    places: Counts,
+    sums: Floats,
+    more: Floats,
+    found: Words,
+    number: int,
+    counts: Counts,
+) -> int:
+    """Judge the codes that begin at each open chip of a ring; returns the number found so far, -1 for too many."""
+    ring, between, limit2 = 4 * fold.quarter, fold.between, fold.limit2
+    # a length known only at run time: such loops become vector instructions
+    lanes, opened = sums.shape[1], 0
+    for q in range(lanes):
+        sums[0, q] = np.float32(0)
+        sums[1, q] = np.float32(0)
+    for i in range(ring):
+        if (code >> np.uint64(i)) & np.uint64(1):
+            places[opened] = i
+            opened += 1
+            for q in range(lanes):
+                sums[0, q] += between[0, i, 0, q]
+                sums[1, q] += between[0, i, 1, q]
+    for index in range(opened):
+        at = places[index]
+        before = places[index - 1] if index > 0 else places[opened - 1] - ring
+        # closed chips after the last open one are no part of the code
+        if at - before > ring - fold.chips:
+            counts[6] += 1
+            below = 0
+            for q in range(lanes):
+                below += sums[0, q] * sums[0, q] + sums[1, q] * sums[1, q] < limit2
+            if below == 0:
+                turned = _turned(code, at, ring)
+                if _reaches(turned, ring, between, limit2, more):
+                    counts[7] += 1
+                    if number == found.size:
+                        return -1
+                    found[number] = turned
+                    number += 1
+        # this chip moves behind the others, where the wave has the other sign
+        for q in range(lanes):
+            sums[0, q] -= np.float32(2) * between[0, at, 0, q]
+            sums[1, q] -= np.float32(2) * between[0, at, 1, q]
+    return number
+
+
+@compiled
+def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: Counts) -> int:
+    """Go through all codes whose folds have a prefix within a range; returns how many were written to ``found``.
+
+    Parameters
+    ----------
+    first, until : int
+        Range of prefixes, read as numbers to the base 5.
+    fold : Folding
+    found : (M,) uint64
+        Codes that reach the limit at all 8 N samples of the circle, the first chip in the lowest bit.
+    counts : (9,) int64
+        Raised by those of :data:`COUNTS`, and by the number of codes accounted for, each way round and closed chips at
+        either end included.
+
+    Returns
+    -------
+    int
+        -1 where ``found`` is too small.
+    """
+    quarter, prefix, limit2 = fold.quarter, fold.prefix, fold.limit2
+    half, suffix = 2 * quarter, quarter - prefix
+    ways = np.array([1, 4, 6, 4, 1])
+    g, f = np.zeros(quarter, np.int64), np.zeros(half, np.int64)
+    d_places, d_number, d_low = np.zeros(quarter, np.int64), np.zeros(quarter, np.int64), np.zeros(quarter, np.float32)
+    e_places = np.zeros(half, np.int64)
+    d_value = np.zeros(quarter, np.int64)
+    blocks = 3 * _INNER // LANES
+    d_flat = np.zeros((fold.d_waves.shape[2], 2, blocks * LANES), np.float32)
+    d_table = d_flat.reshape((d_flat.shape[0], 2, blocks, LANES))
+    e_table = np.zeros((-(-quarter // 4) * 4, 2, 1 << (_WITHIN - 5), LANES), np.float32)
+    signs = np.zeros((4, LANES), np.float32)
+    for q in range(LANES):
+        for i in range(4):
+            signs[i, q] = 2 * ((q >> i) & 1) - 1
+    d_outer, e_outer = np.zeros((2, LANES), np.float32), np.zeros((2, LANES), np.float32)
+    d_kept, e_kept = np.zeros(blocks * LANES, np.int64), np.zeros(1 << (_WITHIN - 1), np.int64)
+    keep, sums, more = np.zeros(LANES, np.float32), np.zeros((2, LANES), np.float32), np.zeros((2, LANES), np.float32)
+    opened_at = np.zeros(4 * quarter, np.int64)
+    one, one_code, number = np.uint64(1), np.int64(1), 0
+    for p in range(first, until):
+        if not _letters(p, prefix, g, 0):
+            continue
+        for s in range(5**suffix):
+            _letters(s, suffix, g, prefix)
+            opened, packed = 0, 0
+            for i in range(quarter):
+                opened += g[i]
+                packed = (packed << 3) | g[i]
+            if opened < fold.fewest or opened > fold.most:
+                continue
+            codes = _images(packed, quarter)
+            if codes == 0:
+                continue
+            for i in range(quarter):
+                codes *= ways[g[i]]
+            counts[0] += 1
+            counts[8] += codes
+            below = False
+            for j in range(fold.g_waves.shape[2]):
+                x, y = np.float32(0), np.float32(0)
+                for i in range(quarter):
+                    x += g[i] * fold.g_waves[i, 0, j]
+                    y += g[i] * fold.g_waves[i, 1, j]
+                if x * x + y * y < limit2:
+                    below = True
+                    break
+            if below:
+                continue
+            counts[1] += 1
+            # the differences d; the sign of one is free, as the ring may be turned by a quarter
+            d_count, fixed = 0, -1
+            for i in range(quarter):
+                if 0 < g[i] < 4:
+                    d_places[d_count] = i
+                    d_low[d_count], d_number[d_count] = (-2.0, 3) if g[i] == 2 else (-1.0, 2)
+                    if fixed < 0 or (g[i] != 2 and d_number[fixed] == 3):
+                        fixed = d_count
+                    d_count += 1
+            if d_count == 0:
+                continue  # every f is 0 or 2 or its neighbour's: no difference, |P| = 0
+            if d_number[fixed] == 3:
+                d_low[fixed], d_number[fixed] = 0.0, 2
+            else:
+                d_low[fixed], d_number[fixed] = 1.0, 1
+            inner, size = 0, 1
+            while inner < d_count and size < _INNER:
+                size *= d_number[inner]
+                inner += 1
+            d_size = _spread(d_low, d_number, d_places, inner, fold.d_waves, d_flat)
+            d_outside = 1
+            for i in range(inner, d_count):
+                d_outside *= d_number[i]
+            counts[2] += d_size * d_outside
+            for outside in range(d_outside):
+                d_outer[:] = np.float32(0)
+                rest = outside
+                for i in range(inner, d_count):
+                    value = d_low[i] + np.float32(2 * (rest % d_number[i]))
+                    d_value[i] = np.int64(value)
+                    rest //= d_number[i]
+                    for part in range(2):
+                        for j in range(d_flat.shape[0]):
+                            d_outer[part, j] += value * fold.d_waves[d_places[i], part, j]
+                d_left = _kept(d_outer, d_table, (d_size + LANES - 1) // LANES, d_size, limit2, keep, d_kept)
+                counts[3] += d_left
+                for index in range(d_left):
+                    rest = d_kept[index]
+                    for i in range(inner):
+                        d_value[i] = np.int64(d_low[i]) + 2 * (rest % d_number[i])
+                        rest //= d_number[i]
+                    for i in range(quarter):
+                        f[i], f[i + quarter] = g[i] // 2, g[i] // 2
+                    for i in range(d_count):
+                        at = d_places[i]
+                        f[at], f[at + quarter] = (g[at] + d_value[i]) // 2, (g[at] - d_value[i]) // 2
+                    e_count, base = 0, np.uint64(0)
+                    for i in range(half):
+                        if f[i] == 2:
+                            base |= (one << np.uint64(i)) | (one << np.uint64(i + half))
+                        elif f[i] == 1:
+                            e_places[e_count] = i
+                            e_count += 1
+                    if e_count == 0:
+                        continue  # no difference, |P| = 0
+                    within = min(e_count, _WITHIN)
+                    e_blocks = _spread_signs(e_places, within, fold.e_waves, signs, e_table)
+                    e_size = 1 << (within - 1)
+                    counts[4] += one_code << (e_count - 1)
+                    for around in range(one_code << (e_count - within)):
+                        e_outer[:] = np.float32(0)
+                        for i in range(within, e_count):
+                            sign, at = np.float32(2 * ((around >> (i - within)) & 1) - 1), e_places[i]
+                            for q in range(LANES):
+                                e_outer[0, q] += sign * fold.e_waves[at, 0, q]
+                                e_outer[1, q] += sign * fold.e_waves[at, 1, q]
+                        e_left = _kept(e_outer, e_table, e_blocks, e_size, limit2, keep, e_kept)
+                        counts[5] += e_left
+                        for each in range(e_left):
+                            # the sign of the first is free, as the ring may be turned by a half
+                            bits, rest = base | (one << np.uint64(e_places[0])), e_kept[each] | (around << (within - 1))
+                            for i in range(1, e_count):
+                                bits |= one << np.uint64(e_places[i] + (0 if rest & 1 else half))
+                                rest >>= 1
+                            number = _turns(bits, fold, opened_at, sums, more, found, number, counts)
+                            if number < 0:
+                                return -1
+    return number

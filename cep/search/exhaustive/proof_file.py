@@ -1,0 +1,143 @@
+"""File of a proof in blocks: a header, then a line for each finished block, appended as they come.
+
+The file is both the state of an unfinished proof and the proof itself. Format: docs/proofs/README.md.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from cep.search.exhaustive.block_proof import VERSION, BlockPlan
+
+__all__ = ["FILE_NAME", "SCHEMA", "ProofFile"]
+
+SCHEMA = "cep.proof/1"
+FILE_NAME = "proof.jsonl"
+
+
+class ProofFile:
+    """Records of a proof on disk; opened by one run at a time, see :meth:`open`."""
+
+    def __init__(self, path: Path, plan: BlockPlan, records: dict[int, dict[str, Any]]) -> None:
+        self.path, self.plan, self.records = path, plan, records
+        self._number = {block.first: index for index, block in enumerate(plan.blocks)}
+
+    @classmethod
+    @contextmanager
+    def open(cls, folder: Path | str, plan: BlockPlan) -> Iterator[ProofFile]:
+        """Open the proof in a folder, made where it is missing, and hold it until the end.
+
+        A last line that was cut short, as by a lost power supply, is dropped: its block is judged again.
+
+        Raises
+        ------
+        ValueError
+            If the folder is a file, another run holds it, or the file is of another problem or version, or damaged; it
+            stays as it is.
+        OSError
+            If it cannot be written.
+        """
+        folder = Path(folder)
+        path = folder / FILE_NAME
+        if folder.exists() and not folder.is_dir():
+            raise ValueError(f"{folder}: is a file, a folder for the proof is needed")
+        folder.mkdir(parents=True, exist_ok=True)
+        with _held(folder):
+            whole, end = _read(path, plan) if path.exists() and path.stat().st_size else (None, 0)
+            proof = cls(path, plan, {})
+            if whole is None:
+                _append(path, {"schema": SCHEMA, "version": VERSION, **plan.header()}, 0)
+            else:
+                for line, record in enumerate(whole, 2):
+                    try:
+                        proof._take(record)
+                    except ValueError as error:
+                        raise ValueError(f"{path}: line {line}: {error}; give another --cache") from None
+                with path.open("r+b") as stream:
+                    stream.truncate(end)
+            yield proof
+
+    @property
+    def missing(self) -> list[int]:
+        """Numbers of blocks without a record."""
+        return [index for index in range(len(self.plan.blocks)) if index not in self.records]
+
+    def keep(self, record: Mapping[str, Any]) -> None:
+        """Append a record.
+
+        Raises
+        ------
+        ValueError
+            If it does not add up, or its block has one already.
+        """
+        self._take(record)
+        _append(self.path, record, None)
+
+    def _take(self, record: Mapping[str, Any]) -> None:
+        """Add a record that is on disk, or will be."""
+        index = self._number.get(record.get("first", -1), -1)
+        if index < 0 or record.get("until") != self.plan.blocks[index].until:
+            raise ValueError(f"there is no block of prefixes {record.get('first')} to {record.get('until')}")
+        if index in self.records:
+            raise ValueError(f"the block of prefixes {record['first']} to {record['until']} comes twice")
+        block = self.plan.blocks[index]
+        if record.get("codes") != block.codes:
+            raise ValueError(f"the block does not add up: {record.get('codes')} codes instead of {block.codes}")
+        if len(record["survivors"].split()) != len(record["minima"].split()):
+            raise ValueError("the block does not add up: as many minima as survivors are needed")
+        self.records[index] = dict(record)
+
+
+def _read(path: Path, plan: BlockPlan) -> tuple[list[dict[str, Any]], int]:
+    """Read the records of a plan's proof, and the length of the file's whole lines in bytes."""
+    data = path.read_bytes()
+    end = data.rfind(b"\n") + 1
+    lines = []
+    for number, line in enumerate(data[:end].splitlines(), 1):
+        try:
+            lines.append(json.loads(line))
+            if not isinstance(lines[-1], dict):
+                raise ValueError
+        except ValueError:
+            raise ValueError(f"{path}: line {number} is damaged; give another --cache, or delete that line") from None
+    header = lines[0] if lines else {}
+    if header.get("schema") != SCHEMA:
+        raise ValueError(f"{path}: is no proof ({SCHEMA}); give another --cache")
+    if header.get("version") != VERSION:
+        raise ValueError(f"{path}: a proof of version {header.get('version')}, not {VERSION}; give another --cache")
+    if {key: header.get(key) for key in plan.header()} != plan.header():
+        stored = f"{header.get('chips')} chips, {header.get('fewest_open')} to {header.get('most_open')} open"
+        asked = f"{plan.chips} chips, {plan.fewest} to {plan.most} open"
+        raise ValueError(f"{path}: a proof for {stored}, not for {asked}; give another --cache")
+    return lines[1:], end
+
+
+def _append(path: Path, line: Mapping[str, Any], at: int | None) -> None:
+    with path.open("ab" if at is None else "wb") as stream:
+        stream.write(json.dumps(line).encode() + b"\n")
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+@contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Refuse a second run on the same folder; a run that is killed lets go of it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{folder}: another run works on this proof; give another --cache, or wait") from None
+        yield
+    finally:
+        os.close(handle)

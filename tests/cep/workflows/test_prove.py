@@ -1,0 +1,170 @@
+"""A proof in blocks: killed, stopped and continued, it loses nothing and counts nothing twice."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from cep.search.exhaustive.block_proof import plan_blocks
+from cep.search.exhaustive.exact import exact
+from cep.search.exhaustive.proof_file import FILE_NAME
+from cep.search.problem import SearchProblem
+from cep.workflows import prove as module
+from cep.workflows.prove import prove
+
+ROOT = Path(__file__).parents[3]
+PROBLEM = SearchProblem(chips=22)
+
+
+@pytest.fixture(autouse=True)
+def _short_start(monkeypatch):
+    monkeypatch.setattr(module, "_START_STEPS", 2000)
+
+
+def lines(folder):
+    return [json.loads(line) for line in (folder / FILE_NAME).read_text().splitlines()]
+
+
+def assert_whole(folder, found):
+    """Check that the file holds every block once, and that the result is the known optimum."""
+    plan, records = plan_blocks(PROBLEM), lines(folder)[1:]
+    assert sorted(record["first"] for record in records) == [block.first for block in plan.blocks]
+    assert sum(record["codes"] for record in records) == plan.codes
+    known = exact(PROBLEM, threads=1)
+    assert found.proven
+    assert found.code == known.code
+    assert found.minimum == known.minimum
+    assert max(record["bound"] for record in records) <= found.minimum.upper
+
+
+def test_blocks_prove_the_optimum_and_are_not_judged_again(tmp_path, monkeypatch):
+    shares = []
+    found = prove(PROBLEM, folder=tmp_path, progress=lambda share, _best: shares.append(share))
+    assert_whole(tmp_path, found)
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    before = (tmp_path / FILE_NAME).read_bytes()
+    monkeypatch.setattr(module, "judge_block", lambda **_: pytest.fail("a finished block was judged again"))
+    again = prove(PROBLEM, folder=tmp_path)
+    assert (again.code, again.proven) == (found.code, True)
+    assert (tmp_path / FILE_NAME).read_bytes() == before
+
+
+def test_a_better_code_raises_the_bound_of_later_blocks(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_first", lambda *_: "11100010010000000000" + "00")
+    monkeypatch.setattr(module, "_FIRST_ROUND", 1)
+    found = prove(PROBLEM, folder=tmp_path)
+    assert_whole(tmp_path, found)
+    bounds = [record["bound"] for record in lines(tmp_path)[1:]]
+    assert bounds == sorted(bounds)
+    assert bounds[0] == pytest.approx(1.0, abs=1e-5)
+    assert bounds[-1] > 1.1
+
+
+def test_interrupted_it_keeps_finished_blocks_and_goes_on(tmp_path):
+    def stop(share, _best):
+        if share > 0.4:
+            raise KeyboardInterrupt
+
+    part = prove(PROBLEM, folder=tmp_path, progress=stop)
+    assert not part.proven
+    assert part.proof.finished == len(lines(tmp_path)) - 1 < part.proof.blocks
+    assert part.proof.upper > part.proof.lower
+    before = (tmp_path / FILE_NAME).read_bytes()
+    assert_whole(tmp_path, prove(PROBLEM, folder=tmp_path))
+    assert (tmp_path / FILE_NAME).read_bytes().startswith(before)
+
+
+@pytest.mark.slow  # starts two worker processes, twice
+def test_a_worker_killed_in_mid_run_loses_and_doubles_nothing(tmp_path):
+    from joblib.externals.loky import reusable_executor
+
+    killed = []
+
+    def kill_one(share, _best):
+        if not killed and share > 0:
+            killed.append(next(iter(reusable_executor._executor._processes)))
+            os.kill(killed[0], signal.SIGKILL)
+
+    found = prove(PROBLEM, folder=tmp_path, workers=2, progress=kill_one)
+    assert len(killed) == 1
+    assert_whole(tmp_path, found)
+
+
+@pytest.mark.slow  # starts a process that imports all
+def test_a_run_that_is_killed_is_continued(tmp_path):
+    code = (
+        f"import sys, time; sys.path.insert(0, {str(ROOT)!r})\n"
+        "from cep.search.problem import SearchProblem; from cep.workflows import prove as module\n"
+        "module._START_STEPS = 2000\n"
+        "def slow(share, best):\n    time.sleep(0.3)\n"
+        f"module.prove(SearchProblem(chips=22), folder={str(tmp_path)!r}, progress=slow)"
+    )
+    running = subprocess.Popen([sys.executable, "-c", code])
+    path, deadline = tmp_path / FILE_NAME, time.monotonic() + 120
+    while not path.exists() or path.read_bytes().count(b"\n") < 3:
+        assert running.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    with pytest.raises(ValueError, match="another run works on this proof"):
+        prove(PROBLEM, folder=tmp_path)
+    running.kill()
+    running.wait()
+    before = path.read_bytes()
+    assert 3 <= before.count(b"\n") < 1 + len(plan_blocks(PROBLEM).blocks)
+    assert_whole(tmp_path, prove(PROBLEM, folder=tmp_path))
+    assert path.read_bytes().startswith(before)
+
+
+def test_a_line_cut_short_is_judged_again(tmp_path):
+    prove(PROBLEM, folder=tmp_path)
+    path = tmp_path / FILE_NAME
+    path.write_bytes(path.read_bytes()[:-20])
+    assert_whole(tmp_path, prove(PROBLEM, folder=tmp_path))
+
+
+def change(folder, number, **fields):
+    found = lines(folder)
+    found[number] |= fields
+    (folder / FILE_NAME).write_text("".join(json.dumps(line) + "\n" for line in found))
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda folder: change(folder, 0, version=0), "a proof of version 0, not 1"),
+        (lambda folder: change(folder, 0, schema="cep.code/1"), "is no proof"),
+        (lambda folder: change(folder, 0, chips=23), "a proof for 23 chips, 1 to 22 open, not for 22 chips"),
+        (lambda folder: change(folder, 2, codes=5), "line 3: the block does not add up: 5 codes instead of"),
+        (lambda folder: change(folder, 2, until=7), "line 3: there is no block of prefixes"),
+        (lambda folder: change(folder, 2, **lines(folder)[1]), "line 3: the block of prefixes 0 to .* comes twice"),
+        (lambda folder: change(folder, 2, survivors="1101 1"), "line 3: the block does not add up: as many minima"),
+        (lambda folder: (folder / FILE_NAME).write_text("{\n"), "line 1 is damaged"),
+    ],
+)
+def test_what_is_wrong_with_a_folder_is_refused_and_stays(tmp_path, damage, message):
+    prove(PROBLEM, folder=tmp_path)
+    damage(tmp_path)
+    before = (tmp_path / FILE_NAME).read_bytes()
+    with pytest.raises(ValueError, match=message) as caught:
+        prove(PROBLEM, folder=tmp_path)
+    assert "\n" not in str(caught.value)
+    assert (tmp_path / FILE_NAME).read_bytes() == before
+
+
+def test_a_block_that_fails_ends_the_run_and_the_others_stay(tmp_path, monkeypatch):
+    def failing(first, **arguments):
+        if first > 0:
+            raise ValueError("bound: too low")
+        return judge(first=first, **arguments)
+
+    judge = module.judge_block
+    monkeypatch.setattr(module, "judge_block", failing)
+    with pytest.raises(RuntimeError, match="block 1: bound: too low; finished blocks are kept"):
+        prove(PROBLEM, folder=tmp_path)
+    assert len(lines(tmp_path)) == 2
