@@ -30,6 +30,7 @@ __all__ = [
     "CALIBRATION_FILES",
     "METHODS",
     "Calibration",
+    "check_apart",
     "check_options",
     "check_photo",
     "check_several",
@@ -283,7 +284,7 @@ def estimate_motion(
         if len(photos) > 1:  # before anything slow is loaded
             check_several(method)
             check_photos(photos, method)
-            _check_apart(photos)
+            check_apart(photos)
         else:
             check_photo(photos[0], method)
         estimator = make_estimator(method, seed=seed, progress=progress, **options)
@@ -292,7 +293,7 @@ def estimate_motion(
     else:
         for one in photos:
             check_texture(one)
-        _check_apart(photos)
+        check_apart(photos)
         estimator = method
     pixels = [_as_light(one) for one in photos]
     if len(pixels) == 1:
@@ -324,8 +325,14 @@ def _photos(given: ArrayLike | Sequence[ArrayLike]) -> list[ArrayLike]:
     return [np.asarray(given)]
 
 
-def _check_apart(photos: Sequence[ArrayLike]) -> None:
-    """Refuse a photo given twice: its noise would count as agreement."""
+def check_apart(photos: Sequence[ArrayLike]) -> None:
+    """Refuse a photo given twice: its noise would count as agreement, and no two codes take the same photo.
+
+    Raises
+    ------
+    ValueError
+        If two photos are equal.
+    """
     for (i, one), (j, other) in combinations(enumerate(photos, 1), 2):
         if np.array_equal(one, other):
             raise ValueError(f"photo {j}: is the same as photo {i}; give each photo once")
@@ -348,6 +355,7 @@ def _from_codes(
         raise ValueError("photo: give the photos of several codes as a list or tuple, not as one array")
     check_codes([code.bits for code in codes], photos=len(given))
     check_photos(given, method)
+    check_apart(given)
     estimator = make_estimator(method, seed=seed, progress=progress, **options)
     assert hasattr(estimator, "estimate_from")
     found: MotionEstimate = estimator.estimate_from([_as_light(one) for one in given])

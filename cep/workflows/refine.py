@@ -15,7 +15,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.optics.path_limits import check_resolved
 from cep.restoration.direction import compare_psfs, detect_direction, orders_in_time
-from cep.workflows.calibrate import check_photos, check_times
+from cep.workflows.calibrate import check_apart, check_photos, check_times
 from motdiff.estimators.base import Estimator
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.metrics import timed_distance_px
@@ -99,8 +99,8 @@ def refine_motion(
     Raises
     ------
     ValueError
-        If codes and photos do not fit each other, the codes' chips last differently, a photo cannot be searched, or
-        the uncertainty is not above 0.
+        If codes and photos do not fit each other, the codes' chips last differently, a photo cannot be searched or is
+        given twice, or the uncertainty is not above 0.
 
     Examples
     --------
@@ -122,6 +122,7 @@ def refine_motion(
     check_times(codes)
     check_resolved(trajectory, codes[0].chips)
     check_photos(given, "coded")
+    check_apart(given)
     progress(0.01, "loading torch")
     import_module("torch")
     from motdiff.estimators.coded.found import UNEXPLAINED

@@ -92,6 +92,12 @@ def test_photos_and_codes_that_do_not_belong_together_are_refused(photos, option
         estimate_motion(given, **{"codes": [ShutterCode("1101"), ShutterCode("1111")], **options})
 
 
+def test_a_photo_given_twice_through_two_codes_is_refused():
+    photo = np.random.default_rng(0).random((70, 80))
+    with pytest.raises(ValueError, match=r"^photo 2: is the same as photo 1; give each photo once"):
+        estimate_motion([photo, photo.copy()], codes=[ShutterCode("1101"), ShutterCode("1111")])
+
+
 def test_the_diffusion_model_gets_its_options(made):
     make_estimator(samples=3, seed=5)
     make_estimator("motdiff")

@@ -121,3 +121,9 @@ def test_a_flat_photo_is_named_by_its_number_where_there_are_several():
 def test_an_uncertainty_of_nothing_is_refused():
     with pytest.raises(ValueError, match=r"^uncertainty_px: must be above 0"):
         refined(photos_along(PATH), PATH, uncertainty_px=0.0)
+
+
+def test_a_photo_given_twice_is_refused():
+    photo = photos_along(PATH)[0]
+    with pytest.raises(ValueError, match=r"^photo 2: is the same as photo 1"):
+        refined([photo, photo], PATH)
