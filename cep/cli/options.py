@@ -93,7 +93,7 @@ def load_motion(trajectory: Path | None, linear: float | None) -> StoredMotion:
         return read_motion(trajectory)
     assert linear is not None
     if not 0 < linear < 1e5:
-        raise ValueError(f"--linear: must be a length above 0 px, got {linear:g}")
+        raise ValueError(f"--linear: must be a length above 0 and below 100000 px, got {linear:g}")
     return StoredMotion(Trajectory.straight(linear), source={"method": "linear"})
 
 

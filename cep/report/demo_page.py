@@ -165,9 +165,14 @@ def _difference(chain: Chain) -> str:
     mean = float(luminance(chain.reference).mean())
     return (
         f"In this photo the gain is {said} than expected. Expected gains are those of a typical scene (1/f² spectrum, "
-        f"mean light {SCENE_MEAN:g}) along an exactly known motion. This picture has detail of its own, borders, a "
-        f"mean light of {mean:.2f}, and {_known_in_words(chain)}.{contrary}"
+        f"mean light {SCENE_MEAN:g}) along a motion known {_how_exactly(chain)}. This picture has detail of its own, "
+        f"borders, a mean light of {mean:.2f}, and {_known_in_words(chain)}.{contrary}"
     )
+
+
+def _how_exactly(chain: Chain) -> str:
+    error_px = chain.advice.path_error_px
+    return f"to {error_px:.2g} px" if error_px else "exactly"
 
 
 def _known_in_words(chain: Chain) -> str:

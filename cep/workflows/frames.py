@@ -161,10 +161,11 @@ def optimize_frames(
     Raises
     ------
     ValueError
-        If the method is another, or there is no frame.
+        If the method is another, there is no frame, or even the shortest opening saturates at the problem's light.
     """
     if how.method != "anneal":
         raise ValueError(f"frames: not valid with method={how.method!r}, which searches a single code")
+    check_light(problem)
     on_checked()
     single, searched = _search(searched_problem(problem), how, frames, mean_length_px(problem), progress)
     found = replace(searched, codes=tuple(replace(code, chip_ns=problem.chip_ns) for code in searched.codes))

@@ -22,6 +22,7 @@ from cep.search.problem import SearchProblem
 from cep.search.recipe import Found, mean_length_px, prove_code, search_code
 from cep.workflows.advise import Verdict, verdict
 from cep.workflows.compare import Comparison, as_designed, compare
+from cep.workflows.ways import check_light
 from motdiff.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -296,8 +297,8 @@ def optimize(
     Raises
     ------
     ValueError
-        If the problem has no motion, its paths cannot be measured or are too short for so many chips, or the method
-        does not solve it; or a figure of the user's own fails.
+        If the problem has no motion, its paths cannot be measured or are too short for so many chips, even the shortest
+        opening saturates at its light, or the method does not solve it; or a figure of the user's own fails.
 
     Examples
     --------
@@ -314,6 +315,7 @@ def optimize(
     motion = along or problem.scenarios[0].trajectory
     check_frame(motion)
     check_resolved(motion, problem.chips)
+    check_light(problem)
     designed = as_designed(motion, problem.direction)
     own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))  # one that fails does so before the search
 

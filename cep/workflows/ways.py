@@ -236,6 +236,10 @@ def check_light(problem: SearchProblem) -> None:
     """
     if not problem.scenarios:
         raise ValueError("scenarios: need a motion to advise on")
+    try:
+        problem.camera.at(problem.camera.photons_full_scale)
+    except ValueError as error:  # no option but the camera's file states such a light
+        raise ValueError(f"camera: the light level {str(error).removeprefix('photons: ')}") from None
     if not can_record(problem):
         camera, shortest = problem.camera, max(problem.open_limits[0], 1) / problem.chips
         raise ValueError(

@@ -552,3 +552,29 @@ def test_damaged_raw_files(refused, workplace):
     Path("a.dng").write_bytes(dng(np.full((64, 64), 9000, np.uint16))[:-100])
     assert "a.dng: not a RAW file that LibRaw can read" in refused("calibrate", "a.dng")
     assert "a.dng" in refused("simulate", "a.dng", "--linear", "9")
+
+
+# -- light ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frames", ["1", "2"])
+def test_light_that_cannot_be_judged_is_refused_before_a_code_is_written(refused, workplace, frames):
+    (workplace / "bright.toml").write_text("photons_full_scale = 1e8")
+    (workplace / "full.toml").write_text("photons_full_scale = 1e6\nfull_well_e = 1000.0")
+    asked = (
+        "optimize",
+        "--linear",
+        "8",
+        "--chips",
+        "8",
+        "--steps",
+        "10",
+        "--frames",
+        frames,
+        "-o",
+        "new.json",
+        "--camera",
+    )
+    assert "--camera: the light level must lie within 1..1e7 photo-electrons" in refused(*asked, "bright.toml")
+    assert "this camera is full at 1,000 electrons" in refused(*asked, "full.toml")
+    assert "--linear: must be a length above 0 and below 100000 px" in refused("advise", "--linear", "1e9")
