@@ -31,6 +31,11 @@ _LEAST_CHIPS, _MOST_CHIPS = 4, 512  # the walks' slices take 0.6 MB a chip
 _MOST_PHOTOS = 8
 
 
+_RIGHT = {1: (3, 39), 2: (16, 39), 3: (8, 12), 4: (36, 39)}
+"""By number of photos: simulated walks of 60 px whose path was found within 1 px, in order, and all of them
+(docs/decisions/motion-estimation.md and benchmarks.md)."""
+
+
 @dataclass(frozen=True)
 class Separation:
     """How well a set tells orders in time, on simulated walks other than those it was designed on.
@@ -81,17 +86,21 @@ class CalibrationSet:
 
     @property
     def summary(self) -> str:
-        """What the set will resolve, one sentence."""
+        """What to do, how often it was enough, and what the set resolves."""
         found, count = self.separation, len(self.codes)
         steps = ", ".join(
             f"P{i} {'with the shutter open' if name == 'open' else f'through {name}'}"
             for i, name in enumerate(self.sources, 1)
         )
-        return (
-            f"Take {count} {'photo' if count == 1 else 'photos'} of the motion, {steps}: in {found.resolved} of "
-            f"{found.walks} simulated walks of {found.length_px:g} px, each other order in time that was tried, six at "
-            "most, changes the photos by more than a blind search errs."
+        resolved = (
+            f"In {found.resolved} of {found.walks} simulated walks of {found.length_px:g} px each other order in time "
+            "that was tried, six at most, changes the photos by more than a blind search errs."
         )
+        right = _RIGHT.get(count)
+        measured = (
+            "" if right is None else f" So many photos told the order of {right[0]} of {right[1]} simulated walks."
+        )
+        return f"Take {count} {'photo' if count == 1 else 'photos'} of the motion, {steps}.{measured} {resolved}"
 
     def command(self, folder: Path | str) -> str:
         """Return the command that finds the motion from the photos P1, P2, ..., with the set in ``folder``."""

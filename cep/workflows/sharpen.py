@@ -18,7 +18,7 @@ __all__ = ["Sharpened", "sharpen"]
 
 FloatArray = NDArray[np.float64]
 
-_LEAST_CONFIDENCE = 0.3
+_LEAST_CONFIDENCE = 0.5  # more likely good than not
 _PRIOR_DB = {"psf": 0.6, "trajectory": 0.0}
 """Mean advantage of the PSF found over that of the path traced through it: docs/decisions/restoration.md."""
 

@@ -26,7 +26,7 @@ def test_it_writes_the_codes_and_how_to_use_them(cep):
 
 def test_people_read_first_what_the_set_resolves(cep):
     assert cep("calibration-set", "--photos", 1, "--chips", 8, "--format", "rp2", "-o", "set").code == 0
-    assert cep.out.startswith("Take 1 photo of the motion, P1 through code_1.json: in ")
+    assert cep.out.startswith("Take 1 photo of the motion, P1 through code_1.json. ")
     assert "then: cep calibrate P1 --code set/code_1.json -o motion" in cep.out
     assert Path("set/code_1_rp2.py").is_file()
 

@@ -33,8 +33,8 @@ def test_figures_are_of_walks_that_the_design_did_not_see(pair):
     assert 0 <= found.resolved <= found.walks == 64
     assert 0 < found.worst_tenth < found.median
     assert 0 < found.conditioning < 1
-    assert f"in {found.resolved} of 64 simulated walks" in pair.summary
-    assert pair.summary.startswith("Take 2 photos of the motion, P1 with the shutter open, P2 through code_2.json: ")
+    assert f"In {found.resolved} of 64 simulated walks" in pair.summary
+    assert pair.summary.startswith("Take 2 photos of the motion, P1 with the shutter open, P2 through code_2.json. ")
 
 
 @pytest.mark.parametrize(
