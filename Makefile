@@ -9,11 +9,12 @@ BENCH ?= out/bench
 DATA ?=
 QUICK ?= --quick
 
-.PHONY: help demo test lint bench benchmarks firmware clean
+.PHONY: help demo docs test lint bench benchmarks firmware clean
 
 help:
 	@echo "make demo             the whole chain on a bundled photo, to $(OUT)/report.html"
 	@echo "make demo PHOTO=path  the same on a blurred photo of your own"
+	@echo "make docs             the site of the documentation, to docs/_build/html/index.html"
 	@echo "make test             the tests"
 	@echo "make lint             ruff, strict mypy and the rules on imports"
 	@echo "make bench            the paper's tables at their quick size, to $(BENCH)/README.md"
@@ -23,6 +24,10 @@ help:
 
 demo: $(READY)
 	$(BIN)/cep demo --force -o "$(OUT)" $(if $(PHOTO),--photo "$(PHOTO)")
+
+docs: $(READY)
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt -e '.[docs]'
+	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build/html
 
 test: $(READY)
 	$(BIN)/python -m pytest -n 2

@@ -1,0 +1,28 @@
+"""Links of documents to files outside ``docs/`` become the names of these files: the site does not hold them."""
+
+import re
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+_LINK = re.compile(r"\[([^\]]*)\]\(([^)\s:]+)\)")
+
+
+def _named(app: Sphinx, document: str, source: list[str]) -> None:
+    root = Path(app.srcdir).resolve()
+    folder = (root / document).parent
+
+    def name(match: re.Match[str]) -> str:
+        target = (folder / match[2].partition("#")[0]).resolve()
+        if target.is_relative_to(root) and not target.is_dir():
+            return match[0]
+        path = f"`{target.relative_to(root.parent)}`"
+        return path if match[1].strip("`") in path else f"{match[1]} ({path})"
+
+    source[0] = _LINK.sub(name, source[0])
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Rewrite each document as it is read."""
+    app.connect("source-read", _named)
+    return {"parallel_read_safe": True}
