@@ -21,7 +21,9 @@ def studio(
     port: Annotated[
         int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port on 127.0.0.1; a free one when omitted.")
     ] = 0,
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Print the address, and leave the browser alone.")
+    ] = False,
     extract: Annotated[
         Path | None,
         typer.Option(
@@ -74,7 +76,7 @@ def studio(
             sys.stdout.flush()
         else:
             print(f"The studio is at {address}\nCtrl-C ends it.", file=sys.stderr, flush=True)  # noqa: T201
-        if browser:
+        if not no_browser:
             import webbrowser
 
             webbrowser.open(address)

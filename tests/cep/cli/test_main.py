@@ -39,6 +39,7 @@ COMMANDS = (
     "deblur",
     "export",
     "upload",
+    "studio",
     "demo",
 )
 SHUTTER = tuple(
