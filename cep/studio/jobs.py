@@ -148,7 +148,7 @@ class Jobs:
         return queue
 
     def leave(self, page: str, queue: asyncio.Queue[Job | None]) -> None:
-        """Forget a listener; the job of a page that nobody looks at any more ends a few seconds later."""
+        """Forget a listener; the job of a page without listeners ends a few seconds later."""
         listeners = self._listeners.get(page, set())
         listeners.discard(queue)
         if not listeners:

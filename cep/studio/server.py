@@ -349,4 +349,4 @@ def _large(_: Request, error: Exception) -> Response:
 
 
 def _gone(_: Request, _error: Exception) -> Response:
-    return Response(status_code=400)  # nobody reads it
+    return Response(status_code=400)  # the client has gone: it is not read

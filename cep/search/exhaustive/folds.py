@@ -145,6 +145,26 @@ def _letters(index: int, count: int, into: Counts, at: int) -> bool:
 
 
 @compiled
+def _codes_of(g: Counts, ways: Counts, fewest: int, most: int) -> int:
+    """Codes that a fold accounts for; 0 where its open chips are out of range, or another of its images is the larger.
+
+    ``ways`` has the number of four chips with each sum.
+    """
+    opened, packed = 0, 0
+    for i in range(g.size):
+        opened += g[i]
+        packed = (packed << 3) | g[i]
+    if opened < fewest or opened > most:
+        return 0
+    codes = _images(packed, g.size)
+    if codes == 0:
+        return 0
+    for i in range(g.size):
+        codes *= ways[g[i]]
+    return codes
+
+
+@compiled
 def codes_by_prefix(quarter: int, prefix: int, fewest: int, most: int) -> Counts:
     """Count the codes, of N = 4 q chips each way round, that each prefix accounts for, (5^prefix,) int64."""
     total = np.zeros(5**prefix, np.int64)
@@ -155,18 +175,7 @@ def codes_by_prefix(quarter: int, prefix: int, fewest: int, most: int) -> Counts
             continue
         for s in range(5**suffix):
             _letters(s, suffix, g, prefix)
-            opened, packed = 0, 0
-            for i in range(quarter):
-                opened += g[i]
-                packed = (packed << 3) | g[i]
-            if opened < fewest or opened > most:
-                continue
-            codes = _images(packed, quarter)
-            if codes == 0:
-                continue
-            for i in range(quarter):
-                codes *= ways[g[i]]
-            total[p] += codes
+            total[p] += _codes_of(g, ways, fewest, most)
     return total
 
 
@@ -373,17 +382,9 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
             continue
         for s in range(5**suffix):
             _letters(s, suffix, g, prefix)
-            opened, packed = 0, 0
-            for i in range(quarter):
-                opened += g[i]
-                packed = (packed << 3) | g[i]
-            if opened < fold.fewest or opened > fold.most:
-                continue
-            codes = _images(packed, quarter)
+            codes = _codes_of(g, ways, fold.fewest, fold.most)
             if codes == 0:
                 continue
-            for i in range(quarter):
-                codes *= ways[g[i]]
             counts[0] += 1
             counts[8] += codes
             below = False

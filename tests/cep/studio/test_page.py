@@ -35,7 +35,7 @@ def address():
 
 @pytest.fixture
 def studio(browser, address):
-    """Open the studio in a window so wide; at the end check that it asked nobody else and raised no error."""
+    """Open the studio in a window of a given width; at the end check for requests to other hosts and errors."""
     contexts, asked, errors = [], [], []
 
     def open_page(width=DESK, state="", **options):

@@ -101,7 +101,7 @@ def test_a_document_is_opened_by_what_it_is(client, setting):
     assert client.post("/api/upload/document", content=json.dumps(saved).encode()).json()["state"] == saved["state"]
     wrong = client.post("/api/upload/document", content=b'{"schema": "cep.code/1", "bits": "2"}')
     assert wrong.status_code == 422
-    assert "/tmp" not in wrong.text  # the server's own names are nobody's business
+    assert "/tmp" not in wrong.text  # no path of the server is disclosed
     assert "cep-studio" not in wrong.text
 
 
