@@ -34,7 +34,9 @@ def opened_document(file: Path) -> dict[str, Any]:
         schema = None
     try:
         if schema == "cep.trajectory/1":
-            return {"paths": [{"weight": weight, **_described(path)} for weight, path in stored_paths(file)]}
+            paths, error_px = stored_paths(file)
+            described = [{"weight": weight, **_described(path)} for weight, path in paths]
+            return {"paths": described, "path_error": error_px}
         if schema == "cep.code/1":
             code = read_code(file).code
             return {"bits": code.bits, "exposure": f"{code.duration_ns:d}ns"}

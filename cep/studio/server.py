@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 from cep.studio.documents import opened_document, opened_gyro
 from cep.studio.jobs import BusyError, Job, Jobs
 from cep.studio.security import Gate, Keys, TooLargeError
-from cep.studio.state import FieldError, Setting, read_setting
+from cep.studio.state import MOST_CHIPS, FieldError, Setting, read_setting
 from cep.studio.uploads import Uploads
 from cep.studio.views import Views, start_view
 from cep.studio.work import KINDS
@@ -41,7 +41,7 @@ _STATIC = {
     "icon.svg": "image/svg+xml",
 }
 _BEAT_S = 15.0
-_MOST_PINS, _MOST_PAGE = 12, 64
+_MOST_PINS, _MOST_PHOTOS, _MOST_PAGE = 12, 3, 64
 Answer = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
 
 
@@ -76,9 +76,12 @@ class _Studio:
         return found
 
     async def photos(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        scene = self._scene(asked.get("scene"))
-        which = {"restored": asked.get("restored") is True, "opened": asked.get("open") is not False}
-        found: dict[str, Any] = await self.quickly(self.views.photos, _setting(asked), scene, **which)
+        scene, setting = self._scene(asked.get("scene")), _setting(asked)
+        codes = _codes(asked.get("codes"), "scene", _MOST_PHOTOS)
+        if any(len(bits) != setting.chips for bits in codes.values()):
+            raise FieldError("scene", f"the codes of the photos need {setting.chips} chips, as the page's code has")
+        restored = asked.get("restored") is True
+        found: dict[str, Any] = await self.quickly(self.views.photos, setting, scene, codes, restored=restored)
         return found
 
     async def verdict(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -86,12 +89,7 @@ class _Studio:
         return found
 
     async def compare(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        pins = asked.get("pins")
-        if not isinstance(pins, dict) or len(pins) > _MOST_PINS:
-            raise FieldError("pins", f"up to {_MOST_PINS} codes can be pinned")
-        for bits in pins.values():
-            if not isinstance(bits, str) or not bits or set(bits) - {"0", "1"} or "1" not in bits:
-                raise FieldError("pins", "a pinned code is a row of 1 (open) and 0 (closed)")
+        pins = _codes(asked.get("pins"), "pins", _MOST_PINS)
         found: dict[str, Any] = await self.slowly(self.views.compared, _setting(asked), pins)
         return found
 
@@ -163,7 +161,8 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
         return endpoint
 
     async def upload_photo(request: Request) -> Response:
-        return JSONResponse({"photo": await studio.uploads.photo(request.stream())})
+        suffix = request.query_params.get("suffix", "")
+        return JSONResponse({"photo": await studio.uploads.photo(request.stream(), suffix=suffix)})
 
     async def upload_document(request: Request) -> Response:
         file = await studio.uploads.text(request.stream(), ".json")
@@ -291,6 +290,15 @@ async def _document(request: Request) -> Mapping[str, Any]:
 
 def _setting(asked: Mapping[str, Any]) -> Setting:
     return read_setting(asked.get("setting"))
+
+
+def _codes(given: object, field: str, most: int) -> Mapping[str, str]:
+    if not isinstance(given, dict) or not 1 <= len(given) <= most:
+        raise FieldError(field, f"needs 1 to {most} codes by their names")
+    for bits in given.values():
+        if not isinstance(bits, str) or set(bits) - {"0", "1"} or not 1 <= len(bits) <= MOST_CHIPS or "1" not in bits:
+            raise FieldError(field, "a code is a row of 1 (open) and 0 (closed)")
+    return given
 
 
 def _page(name: object) -> str:

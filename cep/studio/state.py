@@ -22,6 +22,7 @@ __all__ = ["MOST_CHIPS", "FieldError", "Setting", "path_fields", "read_setting"]
 MOST_CHIPS = 512
 _MOST_SAMPLES = 512  # of a path in the address
 _FARTHEST_PX = 2_000.0
+_MOST_ERROR_PX = 20.0
 _LIMITS = ("min_open", "min_closed", "max_open", "max_pulses")
 _FIELD_OF = {
     "bits": "bits",
@@ -81,6 +82,8 @@ class Setting:
         The motion.
     bits : str
         The code.
+    path_error : float or None
+        Error of the motion, px rms over time, where it is an estimate.
     exposure : str
         As ``--exposure`` takes it.
     camera : str
@@ -97,6 +100,7 @@ class Setting:
     motion: Mapping[str, Any]
     trajectory: cep.Trajectory
     bits: str
+    path_error: float | None
     exposure: str
     camera: str
     photons: float | None
@@ -111,8 +115,13 @@ class Setting:
         return len(self.bits)
 
     @property
+    def path_error_px(self) -> float:
+        """Error of the motion, px rms over time: 0 where it is known."""
+        return self.path_error or 0.0
+
+    @property
     def key(self) -> str:
-        """Text that differs where anything but the bits differs, their number included."""
+        """Text that differs where anything but the bits and the path's error differs, the number of bits included."""
         light = (self.camera, self.photons, self.read_noise)
         limits = (self.device, self.open_range, sorted(self.limits.items()))
         return repr((self.chips, self.motion, self.exposure, light, limits))
@@ -181,7 +190,7 @@ class Setting:
     @property
     def motion_options(self) -> list[str]:
         """Options of the command line that name the motion."""
-        if self.motion["kind"] == "straight" and not self.motion["angle"]:
+        if self.motion["kind"] == "straight" and not self.motion["angle"] and not self.path_error_px:
             return ["--linear", f"{self.motion['length']:g}"]
         return ["--trajectory", "trajectory.json"]
 
@@ -272,6 +281,7 @@ def read_setting(document: object) -> Setting:
         motion=motion,
         trajectory=trajectory,
         bits=bits,
+        path_error=_number(document, "path_error", 0.0, _MOST_ERROR_PX, "px"),
         exposure=exposure,
         camera=_name(document, "camera"),
         photons=_number(document, "photons", 1.0, 1e7, "photo-electrons at full scale"),

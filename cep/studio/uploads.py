@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 
+from cep.io.images import RAW_SUFFIXES
 from cep.studio.state import FieldError
 
 __all__ = ["Uploads"]
@@ -36,22 +37,29 @@ class Uploads:
         """Where they are."""
         return Path(self._folder.name)
 
-    async def photo(self, chunks: AsyncIterator[bytes]) -> str:
+    async def photo(self, chunks: AsyncIterator[bytes], *, suffix: str = "") -> str:
         """Keep a photo and return its key; what is no photo, or breaks off, leaves nothing behind.
+
+        Parameters
+        ----------
+        chunks : async iterator of bytes
+        suffix : str
+            Of the file's name where it is one of a RAW file: many begin as TIFF files do.
 
         Raises
         ------
         FieldError
-            If it is no PNG, JPEG, TIFF or WebP file.
+            If it is no PNG, JPEG, TIFF or WebP file and not named as a RAW file is.
         """
+        kind = next((raw for raw in RAW_SUFFIXES if raw == suffix.lower()), None)
         key = secrets.token_hex(16)
         partial = self.folder / f"{key}.part"
         try:
             head = await _streamed(chunks, partial)
-            suffix = next((suffix for suffix, is_kind in _PHOTOS.items() if is_kind(head)), None)
-            if suffix is None:
-                raise FieldError("photo", "a photo is a PNG, JPEG, TIFF or WebP file; this file is none of them")
-            self._photos[key] = partial.rename(self.folder / f"{key}{suffix}")
+            kind = kind or next((suffix for suffix, is_kind in _PHOTOS.items() if is_kind(head)), None)
+            if kind is None:
+                raise FieldError("photo", "a photo is a PNG, JPEG, TIFF, WebP or RAW file; this file is none of them")
+            self._photos[key] = partial.rename(self.folder / f"{key}{kind}")
         finally:
             partial.unlink(missing_ok=True)
         while len(self._photos) > _KEPT:

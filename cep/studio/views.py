@@ -82,10 +82,12 @@ class Views:
             }
         ) | {"curve": np.round(seen.curve, 5).tolist(), "open_curve": np.round(opened.curve, 5).tolist()}  # fmt: skip
 
-    def photos(self, setting: Setting, scene: FloatArray | None, *, restored: bool, opened: bool) -> dict[str, Any]:
-        """Return the simulated photo through the code, or its restoration, and the open shutter's where asked for."""
+    def photos(
+        self, setting: Setting, scene: FloatArray | None, codes: Mapping[str, str], *, restored: bool
+    ) -> dict[str, Any]:
+        """Return simulated photos of a scene through codes, or what is restored from them, by the codes' names."""
         bench, _ = self._bench(setting)
-        whole = _scene() if scene is None else scene  # grey: colours take three times as long, and show no more
+        whole = _scene() if scene is None else scene
         frame = len(bench.psf(cep.ShutterCode("1")))
         side = min(_SCENE_PX + frame - 1, *whole.shape[:2])
         if side < frame + 64:
@@ -93,8 +95,8 @@ class Views:
         top, left = ((length - side) // 2 for length in whole.shape[:2])
         part = whole[top : top + side, left : left + side]
         found = {}
-        wanted = {"code": setting.code(), **({"open": cep.ShutterCode("1" * setting.chips)} if opened else {})}
-        for name, code in wanted.items():
+        for name, bits in codes.items():
+            code = setting.code(bits)
             photo = bench.photo(code, part)
             shown = bench.restored(code, photo) if restored else photo / max(code.duty, 1e-6)
             found[name] = _jpeg(shown)
@@ -106,7 +108,7 @@ class Views:
         if error is not None:
             raise FieldError(error["field"], error["message"])
         try:
-            judged = bench.verdict(setting.code())
+            judged = bench.verdict(setting.code(), path_error_px=setting.path_error_px)
         except ValueError as wrong:
             raise FieldError.of(wrong, fallback="photons") from None
         best = {kind: judged.best(kind) for kind in ("open", "snapshot", "strobe")}
@@ -117,6 +119,7 @@ class Views:
                 "choice": judged.choice,
                 "gains_db": judged.gains_db,
                 "psnr_db": own.psnr_db,
+                "open_psnr_db": next(way.psnr_db for way in judged.ways if way.kind == "open"),
                 "ways": [{"name": _WORDS[kind], **way.to_dict()} for kind, way in best.items() if way is not None],
             }
         )
@@ -124,14 +127,15 @@ class Views:
     def compared(self, setting: Setting, pins: Mapping[str, str]) -> dict[str, Any]:
         """Return the figures and curves of codes pinned beside the page's, by their names."""
         bench, _ = self._bench(setting)
+        # those of another number of chips are shown without figures
+        codes = {name: setting.code(bits) for name, bits in pins.items() if len(bits) == setting.chips}
+        expected = bench.psnr_db(list(codes.values()), path_error_px=setting.path_error_px)
         rows = {}
-        for name, bits in pins.items():
-            if len(bits) != setting.chips:
-                continue  # of another number of chips: shown without figures
-            seen = bench.figures(setting.code(bits))
+        for (name, code), psnr_db in zip(codes.items(), expected, strict=True):
+            seen = bench.figures(code)
             rows[name] = {
-                "bits": bits, "open": bits.count("1"), "curve": np.round(seen.curve, 5), **seen.metrics.to_dict(),
-                "psnr_db": -seen.metrics.mse_db,
+                "bits": code.bits, "open": code.open_chips, "curve": np.round(seen.curve, 5), **seen.metrics.to_dict(),
+                "psnr_db": psnr_db,
             }  # fmt: skip
         return _plain({"pins": rows})
 
@@ -153,13 +157,16 @@ class Views:
         search = state.get("search")
         steps, seed = (search.get("steps"), search.get("seed", 0)) if isinstance(search, dict) else (None, 0)
         samples = {name: getattr(path, name) for name in "txy"}
+        source = {"method": setting.motion["kind"]}
+        if setting.path_error_px:
+            source["path_uncertainty_px"] = setting.path_error_px
         return _plain(
             {
                 "schema": STUDIO_SCHEMA,
                 "state": state,
                 "trajectory": {
                     "schema": "cep.trajectory/1", "units": "px", "direction": path.direction, **samples,
-                    "weight": 1.0, "alternatives": [], "source": {"method": setting.motion["kind"]},
+                    "weight": 1.0, "alternatives": [], "source": source,
                 },
                 "code": code_document(StoredCode(code, metrics.to_dict(), {}, proven.to_dict())),
                 "commands": setting.commands(
@@ -213,8 +220,8 @@ def start_view() -> dict[str, Any]:
 
 @cache
 def _scene() -> FloatArray:
-    """Part of the bundled picture with the face in its middle, in grey."""
-    return np.ascontiguousarray(bundled_picture()[:384, 40:424].mean(axis=2))
+    """Part of the bundled picture with the face in its middle, in colour."""
+    return np.ascontiguousarray(bundled_picture()[:384, 40:424])
 
 
 def _map(band: FloatArray) -> dict[str, Any]:

@@ -112,14 +112,14 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
         raise FieldError("photo", str(error).removeprefix("photo: ")) from None
     tell(0.85, "restoring a part of the photo")
     scene = sharpen(_middle(pixels, _SCENE_PX).astype(np.float64), found)
-    np.save(path.with_name(f"{path.stem}_scene.npy"), _grey(np.clip(scene.image, 0, 1)).astype(np.float32))
+    np.save(path.with_name(f"{path.stem}_scene.npy"), np.clip(scene.image, 0, 1).astype(np.float32))
     paths = [
         {"weight": weight, "length_px": one.length_px, "extent_px": one.extent_px, **path_fields(one)}
         for weight, one in zip(found.weights, found.trajectories, strict=True)
     ]
     return {
         "method": found.method, "confidence": found.confidence, "paths": paths, "width": width, "height": height,
-        "warnings": [*notes, *found.warnings], "summary": scene.summary,
+        "warnings": [*notes, *found.warnings], "summary": scene.summary, "path_error": found.path_error_px,
     }  # fmt: skip
 
 
@@ -128,10 +128,6 @@ def _middle(image: np.ndarray[Any, Any], side_px: int) -> np.ndarray[Any, Any]:
     rows, columns = (min(length, side_px) for length in image.shape[:2])
     top, left = (image.shape[0] - rows) // 2, (image.shape[1] - columns) // 2
     return image[top : top + rows, left : left + columns].copy()
-
-
-def _grey(image: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    return image if image.ndim == 2 else image.mean(axis=2)
 
 
 def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
@@ -154,7 +150,9 @@ def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
 
     last = [""]
     tell(0.0, "measuring what is used instead")
-    found = cep.optimize(problem, steps=steps, seed=seed, threads=1, progress=progress, on_best=best)
+    found = cep.optimize(
+        problem, steps=steps, seed=seed, threads=1, progress=progress, on_best=best, path_error_px=setting.path_error_px
+    )
     return {
         "bits": found.code.bits, "sentence": found.verdict.sentence, "steps": found.found.steps, "seed": seed,
         "stopped": found.found.stopped, "seconds": found.found.seconds, "warnings": found.warnings,
@@ -165,7 +163,10 @@ def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
 
     setting = read_setting(order["setting"])
-    found = cep.advise(setting.problem(), setting.code(), threads=1, progress=lambda share, note: tell(share, note))
+    found = cep.advise(
+        setting.problem(), setting.code(), path_error_px=setting.path_error_px, threads=1,
+        progress=lambda share, note: tell(share, note),
+    )  # fmt: skip
     return found.to_dict() | {"where": found.where, "sentence": found.here.sentence}
 
 

@@ -323,22 +323,20 @@ def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 
     check_light(problem)
     _check_codes(problem, codes)  # before the work
     ordinary = WayFinder(problem).ordinary(problem.camera, every_length=path_error_px > 0)
-    return verdict_of(problem, ordinary, codes, path_error_px=path_error_px)
+    ways = judged_ways(problem, [problem.camera], [*ordinary, *codes], path_error_px=path_error_px)[0]
+    return verdict_of(problem, ways, codes, path_error_px=path_error_px)
 
 
 def verdict_of(
     problem: SearchProblem,
-    ordinary: Sequence[ShutterCode],
+    ways: tuple[Way, ...],
     codes: Sequence[ShutterCode],
     *,
     path_error_px: float = 0.0,
 ) -> Verdict:
-    """Judge codes beside single exposures and even pulses that have been found already; see :func:`verdict`."""
-    _check_codes(problem, codes)
-    ways = [*ordinary, *codes]
-    found = judged_ways(problem, [problem.camera], ways, path_error_px=path_error_px)[0]
-    best_possible(found)
-    judged = Verdict(problem.camera, found, "", path_error_px=path_error_px)
+    """Return the verdict of ways that were judged already, the codes among them; see :func:`verdict`."""
+    best_possible(ways)
+    judged = Verdict(problem.camera, ways, "", path_error_px=path_error_px)
     bits = {code.bits for code in codes}
     own = [way for way in judged.possible if way.kind in CODED and way.code.bits in bits]
     if not own:

@@ -6,6 +6,7 @@ What a code does not change is computed once and kept: the OTFs of the chips, an
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -100,7 +101,7 @@ class LiveBench:
         fy = np.concatenate([self.freq_cy_px * self.axis[1], y.ravel()])
         rows = scenario_rows(scenario, problem.chips, fx, fy, response=problem.response)
         self._rows = distinct_rows(rows, problem.response).astype(np.complex64)
-        self._ways: list[ShutterCode] | None = None
+        self._ways: tuple[float, tuple[Way, ...]] | None = None  # of the latest error of the path
         self._finding = threading.Lock()
 
     def figures(self, code: ShutterCode) -> LiveFigures:
@@ -120,10 +121,17 @@ class LiveBench:
         """The open shutter's."""
         return self.figures(ShutterCode("1" * self.problem.chips))
 
-    def verdict(self, code: ShutterCode) -> Verdict:
+    def verdict(self, code: ShutterCode, *, path_error_px: float = 0.0) -> Verdict:
         """Judge a code beside the ways to expose without one, as :func:`cep.workflows.advise.verdict` does.
 
-        The first call for a motion finds these ways, which takes up to a second or two.
+        The first call for a motion and an error finds and judges these ways, which takes some seconds; later ones judge
+        the code alone.
+
+        Parameters
+        ----------
+        code : ShutterCode
+        path_error_px : float
+            As of :func:`cep.workflows.advise.advise`.
 
         Raises
         ------
@@ -132,14 +140,21 @@ class LiveBench:
         """
         check_light(self.problem)
         with self._finding:
-            if self._ways is None:
-                self._ways = WayFinder(self.problem).ordinary(self.problem.camera)
-        return verdict_of(self.problem, self._ways, [code])
+            if self._ways is None or self._ways[0] != path_error_px:
+                found = WayFinder(self.problem).ordinary(self.problem.camera, every_length=path_error_px > 0)
+                self._ways = path_error_px, self._judged(found, path_error_px)
+            ways = self._ways[1]
+        if not any(way.code.bits == code.bits for way in ways):
+            ways = (*ways, self._judged([code], path_error_px)[-1])
+        return verdict_of(self.problem, ways, [code], path_error_px=path_error_px)
 
-    def way(self, code: ShutterCode) -> Way:
-        """Judge one code by the expected restoration."""
-        judged = judged_ways(self.problem, [self.problem.camera], [code], path_error_px=0.0)[0]
-        return next(way for way in judged if way.code.bits == code.bits)
+    def psnr_db(self, codes: Sequence[ShutterCode], *, path_error_px: float = 0.0) -> list[float]:
+        """Return the expected PSNR of photos restored along a path that is known to such an error."""
+        judged = {way.code.bits: way.psnr_db for way in self._judged(codes, path_error_px)}
+        return [judged[code.bits] for code in codes]
+
+    def _judged(self, codes: Sequence[ShutterCode], path_error_px: float) -> tuple[Way, ...]:
+        return judged_ways(self.problem, [self.problem.camera], codes, path_error_px=path_error_px)[0]
 
     def psf(self, code: ShutterCode) -> FloatArray:
         """Light-true PSF of a code in the smallest odd frame that holds the motion."""

@@ -6,14 +6,16 @@ from pathlib import Path
 
 from motdiff.gyro import trajectory_from_gyro
 from motdiff.io.gyro_tables import read_gyro
-from motdiff.io.trajectories import read_motion
+from motdiff.io.trajectories import read_motion, stated_uncertainty_px
 from motdiff.trajectory import Trajectory
 
 __all__ = ["gyro_motion", "stored_paths"]
 
 
-def stored_paths(file: Path | str) -> tuple[tuple[float, Trajectory], ...]:
-    """Return the paths of a ``trajectory.json`` with their weights, the likeliest first.
+def stored_paths(file: Path | str) -> tuple[tuple[tuple[float, Trajectory], ...], float | None]:
+    """Return the paths of a ``trajectory.json`` with their weights, the likeliest first, and their error where stated.
+
+    The error is px rms over time.
 
     Raises
     ------
@@ -21,7 +23,7 @@ def stored_paths(file: Path | str) -> tuple[tuple[float, Trajectory], ...]:
         As of :func:`motdiff.io.trajectories.read_motion`.
     """
     stored = read_motion(file)
-    return ((stored.weight, stored.trajectory), *stored.alternatives)
+    return ((stored.weight, stored.trajectory), *stored.alternatives), stated_uncertainty_px(stored, file)
 
 
 def gyro_motion(file: Path | str, *, focal_px: float, start_s: float, exposure_s: float) -> Trajectory:

@@ -8,21 +8,26 @@ export const DEFAULTS = {
   photons: null,
   read_noise: null,
   device: "",
+  path_error: null,
   open: null,
   min_open: null, max_open: null, min_closed: null, max_pulses: null,
   pins: [],
   photo: "",
   view: "taken",
+  left: "open",
+  right: "code",
   search: null,
 };
+const VIEWS = ["view", "left", "right"]; // of the photos
 const LIMITS = ["min_open", "max_open", "min_closed", "max_pulses"];
-const NUMBERS = ["photons", "read_noise", ...LIMITS];
+const NUMBERS = ["path_error", "photons", "read_noise", ...LIMITS];
+export const SIDES = { open: "open shutter", snapshot: "best single exposure", code: "this code" };
 
 /** What the server reads: the setting alone, without what only the page needs. */
 export function settingOf(state) {
-  const { motion, bits, exposure, camera, photons, read_noise, device, open } = state;
+  const { motion, path_error, bits, exposure, camera, photons, read_noise, device, open } = state;
   const limits = Object.fromEntries(LIMITS.filter((name) => state[name] !== null).map((name) => [name, state[name]]));
-  return { motion, bits, exposure, camera, photons, read_noise, device, open, ...limits };
+  return { motion, path_error, bits, exposure, camera, photons, read_noise, device, open, ...limits };
 }
 
 export function toAddress(state) {
@@ -34,7 +39,7 @@ export function toAddress(state) {
   if (state.open) query.set("open", state.open.join(":"));
   for (const pin of state.pins) query.append("pin", `${pin.name}=${pin.bits}`);
   if (state.photo) query.set("photo", state.photo);
-  if (state.view !== DEFAULTS.view) query.set("view", state.view);
+  for (const name of VIEWS) if (state[name] !== DEFAULTS[name]) query.set(name, state[name]);
   if (state.search) query.set("search", `${state.search.steps}:${state.search.seed}`);
   return `#${query.toString().replaceAll("%3A", ":").replaceAll("%2F", "/").replaceAll("%3D", "=")}`;
 }
@@ -45,7 +50,8 @@ export function fromAddress(hash) {
   const motion = query.has("motion") ? motionOf(query.get("motion")) : null;
   if (motion) state.motion = motion;
   if (query.has("code")) state.bits = query.get("code");
-  for (const name of ["exposure", "camera", "device", "photo", "view"]) if (query.has(name)) state[name] = query.get(name);
+  for (const name of ["exposure", "camera", "device", "photo", ...VIEWS]) if (query.has(name)) state[name] = query.get(name);
+  for (const side of ["left", "right"]) if (!(state[side] in SIDES)) state[side] = DEFAULTS[side];
   for (const name of NUMBERS) if (query.has(name) && query.get(name) !== "") state[name] = Number(query.get(name));
   if (query.has("open")) {
     const ends = query.get("open").split(":").map(Number);

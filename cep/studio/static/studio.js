@@ -1,6 +1,6 @@
 // The page: what the hand changes becomes the state, the state becomes the address, and everything follows it.
 
-import { DEFAULTS, fromAddress, settingOf, settled, toAddress } from "./state.js";
+import { DEFAULTS, SIDES, fromAddress, settingOf, settled, toAddress } from "./state.js";
 import { miniature, Strip } from "./strip.js";
 import { drawCurves, drawGains, drawMap, drawOnPhoto, drawPath, drawPlayed } from "./plots.js";
 
@@ -83,32 +83,57 @@ const followPicture = follower(async () => {
   document.body.dataset.picture = at;
 });
 
-let openPhotos = "";
+/** Bits of a side of the comparison; null while the best single exposure is being looked for. */
+function sideBits(side) {
+  if (side === "code") return state.bits;
+  if (side === "open") return "1".repeat(state.bits.length);
+  return judged?.key === adviceKey() ? judged.ways.find((way) => way.kind === "snapshot")?.bits ?? null : null;
+}
+
+const taken = {}; // the last photo of each side's code
 const followPhotos = follower(async () => {
-  const at = revision, view = state.view;
+  const at = revision, { left, right, view, photo } = state;
+  const { path_error, ...setting } = settingOf(state);
+  const codes = {}, keys = {};
+  for (const side of new Set([left, right])) {
+    const bits = sideBits(side);
+    keys[side] = JSON.stringify({ ...setting, bits, view, photo });
+    if (bits !== null && taken[side]?.key !== keys[side]) codes[side] = bits;
+  }
   try {
-    const key = JSON.stringify({ ...settingOf(state), bits: state.bits.length, view, photo: state.photo });
-    const found = await post("photos", { setting: settingOf(state), restored: view === "restored", scene: state.photo, open: key !== openPhotos });
+    if (Object.keys(codes).length) {
+      const found = await post("photos", { setting: settingOf(state), restored: view === "restored", scene: photo, codes });
+      for (const side of Object.keys(codes)) taken[side] = { key: keys[side], image: found[side] };
+    }
     calm("photos");
-    $("photo-code").src = found.code;
-    if (found.open) { $("photo-open").src = found.open; openPhotos = key; }
-    await $("photo-code").decode().catch(() => {});
+    await Promise.all([showSide("left", left), showSide("right", right)]);
   } catch (error) { complain(error, ["photos"]); }
   document.body.dataset.photo = at;
 });
 
+async function showSide(place, side) {
+  const image = $(`photo-${place}`), source = taken[side]?.image, words = `${SIDES[side]}, ${state.view === "restored" ? "restored" : "as taken"}`;
+  say(`tag-${place}`, sideBits(side) === null ? `${SIDES[side]}: being looked for` : SIDES[side]);
+  image.alt = `Simulated photo, ${words}`;
+  if (!source || image.src === source) return;
+  image.src = source;
+  await image.decode().catch(() => {});
+}
+
 const followVerdict = follower(async () => {
-  const at = revision;
+  const at = revision, key = adviceKey();
   try {
-    judged = await post("verdict", { setting: settingOf(state) });
+    judged = { ...await post("verdict", { setting: settingOf(state) }), key, bits: state.bits };
     calm("verdict");
   } catch (error) {
     judged = null;
     complain(error, ["verdict"]);
   }
-  drawVerdict();
-  drawPins();
   document.body.dataset.verdict = at;
+  drawVerdict();
+  drawFacts();
+  drawPins();
+  if (state.left === "snapshot" || state.right === "snapshot") followPhotos();
 });
 
 /** First what to do, by the best code that was found at this light; then where it turns; then what this code is worth. */
@@ -128,6 +153,7 @@ function drawVerdict() {
     $("where").textContent = waits ? "So far: the best code for this motion and light is looked for when this work is done." : "So far: the best code for this motion and light is being searched.";
   }
   $("own").textContent = judged ? ownLine(valid) : "";
+  $("own").classList.toggle("stale", document.body.dataset.verdict !== document.body.dataset.asked);
 }
 
 /** What to do, and under which conditions. */
@@ -168,7 +194,7 @@ function followAdvice() {
   const key = adviceKey();
   if (key === adviceAsked || key === advice?.key) return;
   adviceTimer = setTimeout(async () => {
-    if (job?.state === "running" && job.kind !== "advise") return; // after it
+    if (beginning || (job?.state === "running" && job.kind !== "advise")) return; // after it
     adviceAsked = key;
     try {
       await post("job", { page, kind: "advise", setting: settingOf(state) });
@@ -185,7 +211,7 @@ function change(part, { recorded = false } = {}) {
   state = { ...state, ...part };
   history.replaceState(null, "", toAddress(state));
   fill();
-  if (JSON.stringify(settingOf(before)) !== JSON.stringify(settingOf(state)) || before.photo !== state.photo || before.view !== state.view) follow();
+  if (JSON.stringify(settingOf(before)) !== JSON.stringify(settingOf(state)) || before.photo !== state.photo || ["view", "left", "right"].some((name) => before[name] !== state[name])) follow();
   else followPins();
 }
 
@@ -240,11 +266,13 @@ function fill() {
   if (motion.kind === "straight") {
     for (const name of ["length", "angle"]) { put(name, motion[name]); put(`${name}-range`, motion[name]); }
   }
+  put("path_error", state.path_error ?? "");
   for (const radio of document.getElementsByName("view")) radio.checked = radio.value === state.view;
+  for (const side of ["left", "right"]) put(`side-${side}`, state[side]);
   $("undo").disabled = !past.length;
   $("redo").disabled = !future.length;
   $("photo-line").textContent = state.view === "restored"
-    ? "Restored by a Wiener filter along the motion, taken as known."
+    ? "Restored by a Wiener filter along the path as it is drawn: any error of it comes on top."
     : "With the camera's noise. Coded photos are brightened to the light of the open shutter.";
   drawEstimate();
 }
@@ -260,7 +288,7 @@ function draw() {
   $("axis-end").textContent = code.exposure;
   $("broken").hidden = !code.broken.length;
   $("broken").textContent = code.broken.map(sentence).join(" ");
-  figure("psnr", `${figures.psnr_db.toFixed(2)} dB`, `${signed(figures.psnr_db - open.psnr_db)} dB over the open shutter`);
+  drawFacts();
   const zero = figures.min_mtf_lower < 1e-6;
   figure("min", zero ? "0" : `≥ ${digits(figures.min_mtf_lower)}`, zero && figures.min_mtf > 1e-4 ? `reached ${digits(figures.min_mtf)}; not proven above 0` : `open shutter ${digits(open.min_mtf)}`);
   figure("noise", figures.noise_gain_db === null ? "> 100 dB" : `${figures.noise_gain_db.toFixed(1)} dB`, open.noise_gain_db === null ? "open shutter > 100 dB" : `open shutter ${open.noise_gain_db.toFixed(1)} dB`);
@@ -275,6 +303,15 @@ function draw() {
   $("map-open").setAttribute("aria-label", "MTF of the open shutter over all frequencies");
   say("commands", shown.commands.join("\n"));
   drawPins();
+}
+
+/** The expected PSNR: at once for a path that is known; one that may be off is judged once the hand rests. */
+function drawFacts() {
+  if (!shown) return;
+  const judgedNow = judged?.key === adviceKey() && judged.bits === state.bits;
+  if (!state.path_error) figure("psnr", `${shown.figures.psnr_db.toFixed(2)} dB`, `${signed(shown.figures.psnr_db - shown.open.psnr_db)} dB over the open shutter`);
+  else if (judgedNow) figure("psnr", `${judged.psnr_db.toFixed(2)} dB`, `${signed(judged.psnr_db - judged.open_psnr_db)} dB over the open shutter`);
+  else figure("psnr", "…", "with the path's error");
 }
 
 function say(id, text) {
@@ -294,7 +331,8 @@ function drawCurve() {
 
 function drawPins() {
   if (!shown) return;
-  const rows = [{ name: "this code", bits: state.bits, colour: "code", figures: shown.figures }];
+  const figures = !state.path_error ? shown.figures : { ...shown.figures, psnr_db: judged?.key === adviceKey() && judged.bits === state.bits ? judged.psnr_db : null };
+  const rows = [{ name: "this code", bits: state.bits, colour: "code", figures }];
   state.pins.forEach((pin) => {
     const i = state.pins.filter((one) => pinned[one.name]).indexOf(pin);
     rows.push({ name: pin.name, bits: pin.bits, colour: i < 0 ? "" : `pin${i % 5}`, figures: pinned[pin.name], pin });
@@ -409,7 +447,7 @@ function searched(found) {
 function calibrated(found) {
   estimate = found;
   remember("studio-estimate", estimate);
-  change({ motion: pathOf(found.paths[0]) });
+  change({ motion: pathOf(found.paths[0]), path_error: found.path_error ?? null });
 }
 
 function advised(found) {
@@ -436,15 +474,22 @@ function played(found) {
   $("play-line").textContent = said.map(sentence).join(" ");
 }
 
+let beginning = false; // a job is asked for and not heard of yet
 async function begin(kind, more = {}) {
   calm("job");
+  beginning = true;
   $("job").hidden = false;
   $("job-note").textContent = "starting";
   try {
-    await post("job", { page, kind, setting: settingOf(state), ...more });
+    const begun = await post("job", { page, kind, setting: settingOf(state), ...more });
+    if (job?.number !== begun.number) job = begun;
   } catch (error) {
     $("job").hidden = true;
     complain(error, ["job"]);
+    adviceAsked = "";
+    setTimeout(followAdvice);
+  } finally {
+    beginning = false;
   }
 }
 
@@ -464,7 +509,8 @@ async function takePhoto(file) {
   estimate = null;
   showPhoto(URL.createObjectURL(file));
   try {
-    const { photo } = await ask("/api/upload/photo", { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: file });
+    const suffix = /\.[a-z0-9]+$/i.exec(file.name)?.[0] ?? ""; // a RAW file is known by its name alone
+    const { photo } = await ask(`/api/upload/photo?suffix=${encodeURIComponent(suffix)}`, { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: file });
     change({ photo });
     await begin("calibrate", { photo });
   } catch (error) {
@@ -493,10 +539,10 @@ async function openGyro(file) {
 }
 
 function takePaths(found) {
-  estimate = { paths: found.paths, warnings: [] };
+  estimate = { paths: found.paths, path_error: found.path_error, warnings: [] };
   remember("studio-estimate", estimate);
   $("photo-image").hidden = true;
-  change({ motion: pathOf(found.paths[0]), photo: "" });
+  change({ motion: pathOf(found.paths[0]), path_error: found.path_error ?? null, photo: "" });
 }
 
 function download(name, text, kind = "text/plain") {
@@ -567,13 +613,14 @@ function wire() {
   on("motion-kind", "change", () => {
     const [kind, name] = $("motion-kind").value.split(":");
     const length = shown ? Math.round(shown.motion.length_px) : 40;
-    if (kind === "straight") change({ motion: { kind, length, angle: 0 } });
-    else if (kind === "example") change({ motion: { kind, name } });
-    else if (estimate) change({ motion: pathOf(estimate.paths[0]) });
+    if (kind === "straight") change({ motion: { kind, length, angle: 0 }, path_error: null });
+    else if (kind === "example") change({ motion: { kind, name }, path_error: null });
+    else if (estimate) change({ motion: pathOf(estimate.paths[0]), path_error: estimate.path_error ?? null });
   });
   on("camera", "change", () => change({ camera: $("camera").value, photons: null, read_noise: null }));
   on("photons", "input", () => change({ photons: number("photons") }));
   on("photons-range", "input", () => change({ photons: Number((10 ** number("photons-range")).toPrecision(3)) }));
+  on("path_error", "change", () => change({ path_error: number("path_error") })); // a verdict with an error takes seconds
   on("read_noise", "input", () => change({ read_noise: number("read_noise") }));
   on("exposure", "input", () => change({ exposure: $("exposure").value.trim() }));
   on("device", "change", () => change({ device: $("device").value }));
@@ -583,6 +630,15 @@ function wire() {
   });
   for (const name of ["min_open", "max_open", "min_closed", "max_pulses"]) on(name, "input", () => change({ [name]: number(name) }));
   for (const radio of document.getElementsByName("view")) radio.addEventListener("change", () => change({ view: radio.value }));
+  for (const side of ["left", "right"]) {
+    $(`side-${side}`).replaceChildren(...Object.entries(SIDES).map(([name, text]) => new Option(text, name)));
+    on(`side-${side}`, "change", () => change({ [side]: $(`side-${side}`).value }));
+  }
+  on("divider", "input", () => {
+    const share = number("divider");
+    $("compare").style.setProperty("--at", `${share}%`);
+    $("divider").setAttribute("aria-valuetext", `${share} percent from the left`);
+  });
   on("search", "click", () => { record(); begin("search", { steps: Number($("effort").value), seed: 0 }); });
   on("stop", "click", () => post("stop", { page }).catch((error) => complain(error, ["job"])));
   on("photo-file", "change", () => { if ($("photo-file").files[0]) takePhoto($("photo-file").files[0]); $("photo-file").value = ""; });
@@ -640,8 +696,8 @@ function wire() {
 }
 
 async function start() {
-  fill();
   wire();
+  fill();
   if (state.photo) showPhoto(`/api/photo/${state.photo}`);
   follow();
   known = await ask("/api/start");

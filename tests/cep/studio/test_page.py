@@ -141,6 +141,42 @@ def test_the_address_is_the_state(studio):
         assert other.locator(figure).inner_text() == page.locator(figure).inner_text()
 
 
+def test_the_divider_compares_two_photos(studio):
+    page = studio(state="code=1101000111010110&motion=straight:16:0&camera=video-8bit&photons=2000")
+    tags = [page.locator(f"#tag-{side}").inner_text() for side in ("left", "right")]
+    assert tags == ["open shutter", "this code"]
+    width = page.locator("#compare").bounding_box()["width"]
+    page.locator("#divider").focus()
+    page.keyboard.press("ArrowRight")
+    assert page.locator("#divider").get_attribute("aria-valuetext") == "51 percent from the left"
+    clipped = page.evaluate("getComputedStyle(document.getElementById('compare'), '::after').left")
+    assert float(clipped.removesuffix("px")) == pytest.approx(0.51 * width - 1, abs=1)
+    before = page.locator("#photo-left").get_attribute("src")
+    page.locator("#side-left").select_option("snapshot")
+    shown(page)
+    until(page, "document.getElementById('tag-left').textContent === 'best single exposure'")
+    assert page.locator("#photo-left").get_attribute("src") != before
+    assert "left=snapshot" in page.url
+    assert page.locator("#photo-left").get_attribute("alt") == "Simulated photo, best single exposure, as taken"
+
+
+def test_the_error_of_the_path_counts_in_the_verdict(studio):
+    page = studio(state="code=1101000111010110&motion=straight:16:0&camera=video-8bit&photons=2000")
+    known = page.locator("#f-psnr").inner_text()
+    page.locator("#path_error").fill("0.5")
+    page.locator("#path_error").press("Tab")
+    until(
+        page, "document.getElementById('f-psnr').textContent.endsWith('dB') && location.hash.includes('path_error=0.5')"
+    )
+    shown(page)
+    assert float(page.locator("#f-psnr").inner_text().split()[0]) < float(known.split()[0])
+    assert "--trajectory trajectory.json" in page.locator("#commands").inner_text()  # the file states the error
+    page.locator("#path_error").fill("99")
+    page.locator("#path_error").press("Tab")
+    until(page, "document.querySelector('.error[data-for=path_error]').textContent !== ''")
+    assert page.locator(".error[data-for=path_error]").inner_text() == "Must be a number within 0 to 20 px."
+
+
 def test_wrong_input_is_told_beside_its_field_and_survives_a_reload(studio):
     page = studio()
     page.locator("#exposure").fill("soon")

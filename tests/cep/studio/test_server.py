@@ -8,8 +8,10 @@ from hostile_requests import hostile
 from starlette.requests import ClientDisconnect
 
 import cep
-from cep.io.images import encode_image
+from cep.io.images import RAW_SUFFIXES, encode_image, read_image
+from cep.studio.state import read_setting
 from cep.studio.uploads import Uploads
+from cep.workflows.advise import verdict
 
 
 def posted(client, name, **asked):
@@ -42,22 +44,45 @@ def test_figures_are_those_of_the_library(client, setting):
     assert found["code"]["chip_ns"] == 1_250_000
 
 
-def test_the_verdict_is_that_of_the_library(client, setting):
+@pytest.mark.parametrize("path_error", [None, 0.4])
+def test_the_verdict_is_that_of_the_library(client, setting, path_error):
+    setting = {**setting, "path_error": path_error}
     found = posted(client, "verdict", setting=setting)
-    from cep.studio.state import read_setting
-    from cep.workflows.advise import verdict
-
     read = read_setting(setting)
-    assert found["sentence"] == verdict(read.problem(), read.code()).sentence
+    expected = verdict(read.problem(), read.code(), path_error_px=path_error or 0.0)
+    assert found["sentence"] == expected.sentence
+    assert ("a path known to 0.4 px" in found["sentence"]) == (path_error is not None)
+    assert found["gains_db"] == pytest.approx(expected.gains_db)
+    turned = {**setting, "bits": setting["bits"][1:] + "1"}  # the ways without a code are kept from the first one
+    other = read_setting(turned)
+    again = verdict(other.problem(), other.code(), path_error_px=path_error or 0.0)
+    assert posted(client, "verdict", setting=turned)["sentence"] == again.sentence
     assert [way["name"] for way in found["ways"]][:2] == ["open shutter", "best single exposure"]
 
 
-def test_photos_are_pictures_that_differ(client, setting):
-    taken, restored = (posted(client, "photos", setting=setting, restored=restored) for restored in (False, True))
+def test_photos_are_pictures_in_colour_that_differ(client, setting, tmp_path):
+    codes = {"code": setting["bits"], "open": "1" * 16, "snapshot": "0" * 6 + "1111" + "0" * 6}
+    taken, restored = (
+        posted(client, "photos", setting=setting, codes=codes, restored=restored) for restored in (False, True)
+    )
+    assert set(taken) == set(restored) == set(codes)
+    assert len({*taken.values(), *restored.values()}) == 6
     for photo in (*taken.values(), *restored.values()):
-        assert photo.startswith("data:image/jpeg;base64,")
-    assert len({*taken.values(), *restored.values()}) == 4
-    assert set(posted(client, "photos", setting=setting, open=False)) == {"code"}
+        head, _, content = photo.partition(",")
+        assert head == "data:image/jpeg;base64"
+        (tmp_path / "photo.jpg").write_bytes(base64.b64decode(content))
+        pixels = read_image(tmp_path / "photo.jpg")
+        assert pixels.shape == (256, 256, 3)
+        assert np.ptp(pixels, axis=2).max() > 0.2  # the bundled scene has colours, and so have its photos
+
+
+@pytest.mark.parametrize(
+    "codes", [None, {}, {"code": "101"}, {"code": "0" * 16}, {"code": 3}, dict.fromkeys("abcd", "1" * 16)]
+)
+def test_photos_of_wrong_codes_are_refused_in_one_line(client, setting, codes):
+    answer = client.post("/api/photos", json={"setting": setting, "codes": codes})
+    assert answer.status_code == 422
+    assert answer.json()["error"]["field"] == "scene"
 
 
 def test_a_code_that_breaks_a_limit_is_measured_and_named(client, setting):
@@ -95,6 +120,10 @@ def test_every_format_is_exported(client, setting, file_format):
 
 def test_a_document_is_opened_by_what_it_is(client, setting):
     saved = posted(client, "save", setting=setting, state={"bits": setting["bits"]})
+    assert client.post(
+        "/api/upload/document",
+        content=json.dumps({**saved["trajectory"], "source": {"path_uncertainty_px": 0.25}}).encode(),
+    ).json()["path_error"] == 0.25  # fmt: skip
     for part, key in (("trajectory", "paths"), ("code", "bits")):
         found = client.post("/api/upload/document", content=json.dumps(saved[part]).encode())
         assert key in found.json(), found.text
@@ -134,6 +163,15 @@ def test_only_photos_are_kept_and_the_oldest_go(client):
     assert files_of(client) == sorted(f"{key}.png" for key in keys[-8:])
     assert client.get(f"/api/photo/{keys[-1]}").status_code == 404  # no preview yet
     assert client.get(f"/api/photo/{keys[0]}").status_code == 422
+
+
+@pytest.mark.parametrize("suffix", RAW_SUFFIXES)
+def test_a_raw_file_is_kept_under_its_suffix_and_not_read_as_a_tiff(client, suffix):
+    begins_as_tiff = b"II*\0" + bytes(60)
+    key = client.post(f"/api/upload/photo?suffix={suffix.upper()}", content=begins_as_tiff).json()["photo"]
+    assert f"{key}{suffix}" in files_of(client)
+    other = client.post("/api/upload/photo?suffix=/../x.nef", content=begins_as_tiff).json()["photo"]
+    assert f"{other}.tif" in files_of(client)
 
 
 def test_hostile_requests_are_refused_and_leave_nothing(client, keys):

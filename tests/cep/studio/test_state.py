@@ -31,6 +31,8 @@ from motdiff.motions import boracchi_foi
         ("exposure", {"exposure": "soon"}),
         ("exposure", {"exposure": "-1"}),
         ("exposure", {"exposure": 3}),
+        ("path_error", {"path_error": -0.1}),
+        ("path_error", {"path_error": "small"}),
         ("photons", {"photons": 0}),
         ("photons", {"photons": True}),
         ("read_noise", {"read_noise": -1}),
@@ -103,4 +105,6 @@ def test_commands_quote_what_a_shell_would_read(setting):
         "--trajectory trajectory.json"
         in read_setting({**setting, "motion": {"kind": "example", "name": "walk"}}).commands()[0]
     )
+    off = read_setting({**setting, "path_error": 0.3})  # only the file of the trajectory can state it
+    assert "--linear" not in " ".join(off.commands(steps=7))
     assert json.dumps(read.commands(steps=7, seed=3)).count("--steps 7 --seed 3") == 1
