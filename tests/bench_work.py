@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from cep.search.exhaustive.block_proof import judge_block
+
 
 def square(*, value, log=None):
     note(log, f"square {value}")
@@ -53,6 +55,16 @@ def kills_its_process(*, value, at):
         time.sleep(0.2)
         os.kill(os.getpid(), signal.SIGKILL)
     return {"value": value}
+
+
+def judged_slowly(**block):
+    """Judge a block of a proof, slowly; the log is named by the environment, as a proof passes the block alone."""
+    log = os.environ["CEP_TEST_LOG"]
+    note(log, f"begin {os.getpid()} {block['first']}")
+    time.sleep(0.3)
+    record = judge_block(**block)
+    note(log, f"end {os.getpid()} {block['first']}")
+    return record
 
 
 def note(log, line):

@@ -1,20 +1,18 @@
 """The engine on a real Dask cluster of worker processes, which are lost, have other sources, or never were."""
 
-import json
 import os
 import shutil
 import signal
 import socket
-import subprocess
 import sys
 import threading
-import time
 from importlib.util import find_spec
 from pathlib import Path
 
 import bench_work
 import numpy as np
 import pytest
+from emulators.cluster import ROOT, Cluster, running
 from emulators.tools import give_up
 
 from cep.cli.console import BAD_INPUT, explain
@@ -22,7 +20,6 @@ from cep.jobs.cells import Cell
 from cep.jobs.engine import run_cells
 from cep.jobs.fingerprint import all_sources
 
-ROOT = Path(__file__).parents[3]
 COUNT = 12
 
 
@@ -30,49 +27,6 @@ COUNT = 12
 def _dask():
     if find_spec("distributed") is None:
         give_up("dask.distributed not installed: pip install 'coded-exposure[cluster]'")
-
-
-class Cluster:
-    """A scheduler and two workers of one thread each, processes of their own that nobody starts again."""
-
-    def __init__(self, folder):
-        self._processes = []
-        contact = folder / "scheduler.json"
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "tests")))}
-        self._folder, self._environment = folder, environment
-        options = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", contact)
-        self.scheduler = self._start("scheduler", *options, environment=environment)
-        self.address = self._address(contact)
-
-    def add_workers(self, count, *, root=None):
-        """Start workers, with the packages below ``root`` instead of these."""
-        environment = self._environment
-        if root is not None:
-            environment = {**environment, "PYTHONPATH": os.pathsep.join(map(str, (root, ROOT / "tests")))}
-        options = ("--no-nanny", "--nthreads", "1", "--local-directory", self._folder, "--death-timeout", "60")
-        return [self._start("worker", self.address, *options, environment=environment) for _ in range(count)]
-
-    def stop(self):
-        for process in self._processes:
-            process.kill()
-            process.wait()
-
-    def _start(self, kind, *options, environment):
-        command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", "--no-dashboard", *map(str, options)]
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        # "python -m" would find the packages of the current folder before those of the environment
-        self._processes.append(subprocess.Popen(command, env=environment, cwd=self._folder, **quiet))
-        return self._processes[-1]
-
-    def _address(self, contact):
-        deadline = time.monotonic() + 120
-        while True:
-            try:
-                return json.loads(contact.read_text())["address"]
-            except (FileNotFoundError, json.JSONDecodeError):  # not written yet, or half
-                assert self.scheduler.poll() is None
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
 
 
 @pytest.fixture
@@ -96,14 +50,6 @@ def cells(log, slow_s=0.15):
 
 def events(log):
     return [line.split() for line in log.read_text().splitlines()]
-
-
-def running(log):
-    """Return the process whose cell has begun last and not ended, None where there is none."""
-    found = events(log)
-    ended = {(pid, cell) for kind, pid, cell in found if kind == "end"}
-    open_ = [int(pid) for kind, pid, cell in found if kind == "begin" and (pid, cell) not in ended]
-    return open_[-1] if open_ else None
 
 
 def test_a_worker_killed_in_a_cell_loses_and_doubles_nothing(cluster, tmp_path):

@@ -6,10 +6,15 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
+import bench_work
 import pytest
+from emulators.cluster import Cluster, running
+from emulators.tools import give_up
 
+from cep.jobs.fingerprint import all_sources
 from cep.search.exhaustive.block_proof import plan_blocks
 from cep.search.exhaustive.exact import exact
 from cep.search.exhaustive.proof_file import FILE_NAME
@@ -94,6 +99,36 @@ def test_a_worker_killed_in_mid_run_loses_and_doubles_nothing(tmp_path):
     found = prove(PROBLEM, folder=tmp_path, workers=2, progress=kill_one)
     assert len(killed) == 1
     assert_whole(tmp_path, found)
+
+
+@pytest.mark.slow  # starts a scheduler and two workers
+def test_a_worker_of_a_cluster_killed_in_mid_run_loses_and_doubles_nothing(tmp_path, monkeypatch):
+    if find_spec("distributed") is None:
+        give_up("dask.distributed not installed: pip install 'coded-exposure[cluster]'")
+    log, folder, killed = tmp_path / "log", tmp_path / "proof", []
+    monkeypatch.setenv("CEP_TEST_LOG", str(log))
+    monkeypatch.setattr("cep.jobs.executors._WORKERS_S", 60.0)  # a busy machine is slow to start one
+    monkeypatch.setattr(module, "judge_block", bench_work.judged_slowly)
+    all_sources.cache_clear()  # somebody may have edited them since the last test
+
+    def kill_one(share, _best):
+        if not killed and share > 0 and (victim := running(log)) is not None:
+            os.kill(victim, signal.SIGKILL)
+            killed.append(victim)
+
+    cluster = Cluster(tmp_path)
+    try:
+        workers = {process.pid for process in cluster.add_workers(2)}
+        found = prove(PROBLEM, folder=folder, dask=cluster.address, progress=kill_one)
+    finally:
+        cluster.stop()
+    assert len(killed) == 1
+    assert set(killed) < workers
+    assert_whole(folder, found)
+    events = [line.split() for line in log.read_text().splitlines()]
+    begun = [block for kind, _, block in events if kind == "begin"]
+    # the block of the one that was killed began again
+    assert len(begun) > len(set(begun)) == len(plan_blocks(PROBLEM).blocks)
 
 
 @pytest.mark.slow  # starts a process that imports all
