@@ -696,6 +696,7 @@ function wire() {
 }
 
 async function start() {
+  for (const term of document.querySelectorAll(".term")) term.setAttribute("aria-description", term.dataset.tip);
   wire();
   fill();
   if (state.photo) showPhoto(`/api/photo/${state.photo}`);
