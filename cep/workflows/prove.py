@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from cep.codes.optima import OPTIMA
 from cep.jobs.engine import run_tasks
 from cep.optics.code import ShutterCode
-from cep.proofs.certify.minimum import chip_minimum
+from cep.proofs.certify.minimum import chip_minimum, min_chip
 from cep.search.exhaustive.block_proof import BlockPlan, certified, core, judge_block, plan_blocks
 from cep.search.exhaustive.proof import BlockLog, ExactResult
 from cep.search.exhaustive.proof_file import ProofFile
@@ -51,7 +52,7 @@ def prove(
     progress : callable, optional
         Called with the fraction of the codes accounted for and the best code so far.
     threads : int, optional
-        Of the annealing that sets the first bound.
+        Of the annealing; the first bound is the better one of its code's and of the optima's known for fewer chips.
 
     Returns
     -------
@@ -96,9 +97,12 @@ def best_of(plan: BlockPlan, records: Any) -> str:
 
 
 def _first(problem: SearchProblem, threads: int | None) -> str:
-    """Search a code to begin with, by annealing; the outcome does not depend on it."""
+    """Return a code to begin with, proven for fewer chips or annealed; the outcome does not depend on it."""
     found = search_code(problem, rng=np.random.default_rng(0), steps=_START_STEPS, time_s=math.inf, threads=threads)
-    return core(found.code.bits).ljust(problem.chips, "0")
+    known = (bits.ljust(problem.chips, "0") for bits in OPTIMA if len(bits) <= problem.chips)
+    allowed = (code for bits in known if problem.allows(code := ShutterCode(bits)))
+    best = max((found.code, *allowed), key=min_chip)
+    return core(best.bits).ljust(problem.chips, "0")
 
 
 def _judge(

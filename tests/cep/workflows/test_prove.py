@@ -14,6 +14,7 @@ import pytest
 from emulators.cluster import Cluster, running
 from emulators.tools import give_up
 
+from cep.codes.optima import OPTIMA
 from cep.jobs.fingerprint import all_sources
 from cep.search.exhaustive.block_proof import plan_blocks
 from cep.search.exhaustive.exact import exact
@@ -69,6 +70,14 @@ def test_a_better_code_raises_the_bound_of_later_blocks(tmp_path, monkeypatch):
     assert bounds == sorted(bounds)
     assert bounds[0] == pytest.approx(1.0, abs=1e-5)
     assert bounds[-1] > 1.1
+
+
+def test_the_first_bound_is_the_best_known_code_within_the_limits():
+    bits = module._first(SearchProblem(chips=23, open_range=(12, 12)), 1)
+    assert bits == OPTIMA[4] + "0"
+    assert (len(OPTIMA[4]), OPTIMA[4].count("1")) == (22, 12)
+    # none of the optima has as many as 20 open chips of 23: the annealing's code
+    assert module._first(SearchProblem(chips=23, open_range=(20, 20)), 1).count("1") == 20
 
 
 def test_interrupted_it_keeps_finished_blocks_and_goes_on(tmp_path):
