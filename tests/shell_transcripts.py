@@ -1,0 +1,39 @@
+"""Transcripts in documents, run from the shell as they stand: ``$ command``, ``> more of it``, and the output below."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+PROMPTS = ("$ ", "> ")
+ROOT = Path(__file__).resolve().parent.parent
+NUMBER = re.compile(r"-?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+def run_transcript(lines, folder):
+    """Run the commands of a transcript in a folder, and compare their output with the one shown, but for figures."""
+    python = shlex.quote(sys.executable)
+    script = ["set -eu", *(line[2:] for line in lines if line.startswith(PROMPTS))]
+    programs = folder / "bin"
+    programs.mkdir()
+    for name, arguments in {"cep": "-c 'from cep.cli.main import run; run()'", "python": ""}.items():
+        (programs / name).write_text(f'#!/bin/sh\nexec {python} {arguments} "$@"\n')
+        (programs / name).chmod(0o755)
+    environment = {
+        **os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "PATH": f"{programs}:{os.environ['PATH']}",
+    }  # fmt: skip
+    done = subprocess.run(
+        ["bash", "-c", "\n".join(script)], cwd=folder, env=environment, capture_output=True, text=True, timeout=1800,
+        check=False,
+    )  # fmt: skip
+    kept = "".join(path.read_text() for path in folder.glob("emulator*.txt"))
+    assert done.returncode == 0, kept + done.stdout + done.stderr
+    assert _said(done.stdout.splitlines()) == _said(line for line in lines if not line.startswith(PROMPTS))
+
+
+def _said(lines):
+    """What lines say apart from their figures, the width of columns, and rules between them."""
+    words = (" ".join(NUMBER.sub("N", line).replace("─", "").split()) for line in lines)
+    return [line for line in words if line]
