@@ -86,6 +86,9 @@ class ProofFile:
         if index in self.records:
             raise ValueError(f"the block of prefixes {record['first']} to {record['until']} comes twice")
         block = self.plan.blocks[index]
+        kinds = {"bound": int | float, "seconds": int | float, "survivors": str, "minima": str}
+        if bad := next((name for name, kind in kinds.items() if not isinstance(record.get(name), kind)), None):
+            raise ValueError(f"{bad} is missing, or of another type")
         if record.get("codes") != block.codes:
             raise ValueError(f"the block does not add up: {record.get('codes')} codes instead of {block.codes}")
         if len(record["survivors"].split()) != len(record["minima"].split()):
