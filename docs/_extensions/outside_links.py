@@ -1,5 +1,9 @@
-"""Links of documents to files outside ``docs/`` become the names of these files: the site does not hold them."""
+"""Links of documents to files outside ``docs/`` become the names of these files: the site does not hold them.
 
+Links to pages that the site copies as they are (``html_extra_path``) stay links, where Sphinx would offer a download.
+"""
+
+import os
 import re
 from pathlib import Path
 
@@ -11,9 +15,12 @@ _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s:]+)\)")
 def _named(app: Sphinx, document: str, source: list[str]) -> None:
     root = Path(app.srcdir).resolve()
     folder = (root / document).parent
+    copied = {root / name for name in app.config.html_extra_path}
 
     def name(match: re.Match[str]) -> str:
         target = (folder / match[2].partition("#")[0]).resolve()
+        if target in copied:
+            return f'<a href="{os.path.relpath(target, folder)}">{match[1]}</a>'
         if target.is_relative_to(root) and not target.is_dir():
             return match[0]
         path = f"`{target.relative_to(root.parent)}`"
