@@ -143,6 +143,8 @@ def test_the_address_is_the_state(page):
     page.evaluate("location.hash = '1101'")
     page.wait_for_function("document.querySelector('#sentence').textContent.includes('3 of 4 chips')")
     assert page.input_value("#code") == "1101"
+    page.evaluate("location.hash = 'merl-31-t62'")
+    page.wait_for_function("document.querySelector('#sentence').textContent.includes('proven zero at 1/6')")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
