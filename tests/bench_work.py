@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,8 @@ def square(*, value, log=None):
 
 def total(*, pixels, log, slow_s=0.0):
     """Sum an array, slowly; its begin and end are told apart in the log, with the process."""
-    note(log, f"begin {os.getpid()} {pixels[0, 0]:.0f}")
-    time.sleep(slow_s)
-    note(log, f"end {os.getpid()} {pixels[0, 0]:.0f}")
-    return {"total": float(np.sum(pixels))}
+    with slowly(log, f"{pixels[0, 0]:.0f}", slow_s):
+        return {"total": float(np.sum(pixels))}
 
 
 def size_of(*, file):
@@ -59,12 +58,17 @@ def kills_its_process(*, value, at):
 
 def judged_slowly(**block):
     """Judge a block of a proof, slowly; the log is named by the environment, as a proof passes the block alone."""
-    log = os.environ["CEP_TEST_LOG"]
-    note(log, f"begin {os.getpid()} {block['first']}")
-    time.sleep(0.3)
-    record = judge_block(**block)
-    note(log, f"end {os.getpid()} {block['first']}")
-    return record
+    with slowly(os.environ["CEP_TEST_LOG"], block["first"], 0.3):
+        return judge_block(**block)
+
+
+@contextmanager
+def slowly(log, name, slow_s):
+    """Note begin and end of work with the process, and wait before it."""
+    note(log, f"begin {os.getpid()} {name}")
+    time.sleep(slow_s)
+    yield
+    note(log, f"end {os.getpid()} {name}")
 
 
 def note(log, line):

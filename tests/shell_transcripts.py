@@ -12,6 +12,12 @@ ROOT = Path(__file__).resolve().parent.parent
 NUMBER = re.compile(r"-?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
+def transcript_of(page):
+    """Return the lines of all transcripts of a page, in order."""
+    fences = re.findall(r"^```console\n(.*?)^```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    return "".join(fences).splitlines()
+
+
 def run_transcript(lines, folder):
     """Run the commands of a transcript in a folder, and compare their output with the one shown, but for figures."""
     python = shlex.quote(sys.executable)

@@ -1,10 +1,8 @@
 """Pages of the documentation with transcripts run from top to bottom, and say what they show."""
 
-import re
-
 import pytest
 from emulators.tools import require_simavr
-from shell_transcripts import ROOT, run_transcript
+from shell_transcripts import ROOT, run_transcript, transcript_of
 
 PAGES = sorted(
     path
@@ -15,26 +13,17 @@ RUN_ELSEWHERE = {"hardware.md"}
 """tests/cep/cli/test_hardware_transcript.py runs it."""
 
 
-def fences(page, language):
-    text = page.read_text(encoding="utf-8")
-    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
-
-
-def transcript(page):
-    return "".join(fences(page, "console")).splitlines()
-
-
 def name_of(page):
     return str(page.relative_to(ROOT))
 
 
-TRANSCRIPTS = [page for page in PAGES if transcript(page) and page.name not in RUN_ELSEWHERE]
+TRANSCRIPTS = [page for page in PAGES if transcript_of(page) and page.name not in RUN_ELSEWHERE]
 
 
 @pytest.mark.slow(reason="calibrates, searches and restores as a user would")
 @pytest.mark.parametrize("page", TRANSCRIPTS, ids=name_of)
 def test_a_page_runs_from_top_to_bottom(page, tmp_path):
-    lines = transcript(page)
+    lines = transcript_of(page)
     if any("hw emulate" in line for line in lines):
         require_simavr()
     run_transcript(lines, tmp_path)

@@ -51,12 +51,12 @@ class Uploads:
         FieldError
             If it is no PNG, JPEG, TIFF or WebP file and not named as a RAW file is.
         """
-        kind = next((raw for raw in RAW_SUFFIXES if raw == suffix.lower()), None)
+        kind = suffix.lower() if suffix.lower() in RAW_SUFFIXES else None
         key = secrets.token_hex(16)
         partial = self.folder / f"{key}.part"
         try:
             head = await _streamed(chunks, partial)
-            kind = kind or next((suffix for suffix, is_kind in _PHOTOS.items() if is_kind(head)), None)
+            kind = kind or next((ending for ending, is_kind in _PHOTOS.items() if is_kind(head)), None)
             if kind is None:
                 raise FieldError("photo", "a photo is a PNG, JPEG, TIFF, WebP or RAW file; this file is none of them")
             self._photos[key] = partial.rename(self.folder / f"{key}{kind}")

@@ -2,16 +2,22 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
+
+from cep.jobs.fingerprint import all_sources
+from emulators.tools import give_up
 
 ROOT = Path(__file__).parents[2]
 
 
 class Cluster:
-    """A scheduler, and workers of one thread each: processes of their own that nobody starts again."""
+    """A scheduler, and workers of one thread each: separate processes that are not restarted."""
 
     def __init__(self, folder):
         self._processes = []
@@ -51,6 +57,36 @@ class Cluster:
                 assert self.scheduler.poll() is None
                 assert time.monotonic() < deadline
                 time.sleep(0.05)
+
+
+def require_dask():
+    if find_spec("distributed") is None:
+        give_up("dask.distributed not installed: pip install 'coded-exposure[cluster]'")
+
+
+@contextmanager
+def cluster_in(folder, monkeypatch):
+    """Start a cluster without workers, whose files lie in a folder, and stop it and its workers at the end."""
+    require_dask()
+    monkeypatch.setattr("cep.jobs.executors._WORKERS_S", 60.0)  # a busy machine is slow to start one
+    all_sources.cache_clear()  # they may have been edited since the last test
+    made = Cluster(folder)
+    try:
+        yield made
+    finally:
+        made.stop()
+
+
+def killing_one(log, *, from_share):
+    """Return a progress callback that kills one process in the midst of its work, and the list of those it killed."""
+    killed = []
+
+    def kill_one(share, _note):
+        if not killed and share >= from_share and (victim := running(log)) is not None:
+            os.kill(victim, signal.SIGKILL)
+            killed.append(victim)
+
+    return kill_one, killed
 
 
 def running(log):

@@ -83,11 +83,23 @@ const followPicture = follower(async () => {
   document.body.dataset.picture = at;
 });
 
+/** The verdict, where it is one of the motion, light and limits of now. */
+function verdictNow() {
+  return judged?.key === adviceKey() ? judged : null;
+}
+
+/** Expected PSNR of the code and of the open shutter: at once for a path that is known; one that may be off is judged
+ *  once the hand rests, until then null. */
+function ownPsnr() {
+  if (!state.path_error) return { psnr_db: shown.figures.psnr_db, open_psnr_db: shown.open.psnr_db };
+  return verdictNow()?.bits === state.bits ? judged : null;
+}
+
 /** Bits of a side of the comparison; null while the best single exposure is being looked for. */
 function sideBits(side) {
   if (side === "code") return state.bits;
   if (side === "open") return "1".repeat(state.bits.length);
-  return judged?.key === adviceKey() ? judged.ways.find((way) => way.kind === "snapshot")?.bits ?? null : null;
+  return verdictNow()?.ways.find((way) => way.kind === "snapshot")?.bits ?? null;
 }
 
 const taken = {}; // the last photo of each side's code
@@ -305,12 +317,11 @@ function draw() {
   drawPins();
 }
 
-/** The expected PSNR: at once for a path that is known; one that may be off is judged once the hand rests. */
+/** The expected PSNR. */
 function drawFacts() {
   if (!shown) return;
-  const judgedNow = judged?.key === adviceKey() && judged.bits === state.bits;
-  if (!state.path_error) figure("psnr", `${shown.figures.psnr_db.toFixed(2)} dB`, `${signed(shown.figures.psnr_db - shown.open.psnr_db)} dB over the open shutter`);
-  else if (judgedNow) figure("psnr", `${judged.psnr_db.toFixed(2)} dB`, `${signed(judged.psnr_db - judged.open_psnr_db)} dB over the open shutter`);
+  const own = ownPsnr();
+  if (own) figure("psnr", `${own.psnr_db.toFixed(2)} dB`, `${signed(own.psnr_db - own.open_psnr_db)} dB over the open shutter`);
   else figure("psnr", "…", "with the path's error");
 }
 
@@ -331,7 +342,7 @@ function drawCurve() {
 
 function drawPins() {
   if (!shown) return;
-  const figures = !state.path_error ? shown.figures : { ...shown.figures, psnr_db: judged?.key === adviceKey() && judged.bits === state.bits ? judged.psnr_db : null };
+  const figures = { ...shown.figures, psnr_db: ownPsnr()?.psnr_db ?? null };
   const rows = [{ name: "this code", bits: state.bits, colour: "code", figures }];
   state.pins.forEach((pin) => {
     const i = state.pins.filter((one) => pinned[one.name]).indexOf(pin);

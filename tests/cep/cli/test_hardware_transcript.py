@@ -9,17 +9,12 @@ if not hasattr(signal, "SIGALRM"):
     pytest.skip("no pseudo-terminals on this system", allow_module_level=True)
 
 from emulators.tools import require_simavr
-from shell_transcripts import ROOT, run_transcript
-
-
-def transcript():
-    text = (ROOT / "docs" / "hardware.md").read_text(encoding="utf-8")
-    return text.split("<!-- This transcript is run by the tests")[1].split("```console\n")[1].split("```")[0]
+from shell_transcripts import ROOT, run_transcript, transcript_of
 
 
 def test_from_the_search_to_the_shutters_edges(tmp_path):
     require_simavr()
-    run_transcript(transcript().splitlines(), tmp_path)
+    run_transcript(transcript_of(ROOT / "docs" / "hardware.md"), tmp_path)
     sent = json.loads((tmp_path / "code.json").read_text())
     played = json.loads((tmp_path / "played.json").read_text())
     assert played["bits"] == sent["bits"]

@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import signal
 import socket
 import sys
 import threading
@@ -12,32 +11,24 @@ from pathlib import Path
 import bench_work
 import numpy as np
 import pytest
-from emulators.cluster import ROOT, Cluster, running
-from emulators.tools import give_up
+from emulators.cluster import ROOT, cluster_in, killing_one, require_dask
 
 from cep.cli.console import BAD_INPUT, explain
 from cep.jobs.cells import Cell
 from cep.jobs.engine import run_cells
-from cep.jobs.fingerprint import all_sources
 
 COUNT = 12
 
 
 @pytest.fixture(autouse=True)
 def _dask():
-    if find_spec("distributed") is None:
-        give_up("dask.distributed not installed: pip install 'coded-exposure[cluster]'")
+    require_dask()
 
 
 @pytest.fixture
 def cluster(tmp_path, monkeypatch):
-    monkeypatch.setattr("cep.jobs.executors._WORKERS_S", 60.0)  # a busy machine is slow to start one
-    all_sources.cache_clear()  # somebody may have edited them since the last test
-    made = Cluster(tmp_path)
-    try:
+    with cluster_in(tmp_path, monkeypatch) as made:
         yield made
-    finally:
-        made.stop()
 
 
 def cells(log, slow_s=0.15):
@@ -55,13 +46,7 @@ def events(log):
 def test_a_worker_killed_in_a_cell_loses_and_doubles_nothing(cluster, tmp_path):
     log, cache = tmp_path / "log", tmp_path / "cache"
     workers = {process.pid for process in cluster.add_workers(2)}
-    killed = []
-
-    def kill_one(fraction, _note):
-        if not killed and fraction >= 0.25 and (victim := running(log)) is not None:
-            os.kill(victim, signal.SIGKILL)
-            killed.append(victim)
-
+    kill_one, killed = killing_one(log, from_share=0.25)
     outcome = run_cells(cells(log), cache=cache, dask=cluster.address, progress=kill_one)
     assert len(killed) == 1
     assert set(killed) < workers

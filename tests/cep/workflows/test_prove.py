@@ -6,16 +6,13 @@ import signal
 import subprocess
 import sys
 import time
-from importlib.util import find_spec
 from pathlib import Path
 
 import bench_work
 import pytest
-from emulators.cluster import Cluster, running
-from emulators.tools import give_up
+from emulators.cluster import cluster_in, killing_one
 
 from cep.codes.optima import OPTIMA
-from cep.jobs.fingerprint import all_sources
 from cep.search.exhaustive.block_proof import plan_blocks
 from cep.search.exhaustive.exact import exact
 from cep.search.exhaustive.proof_file import FILE_NAME
@@ -112,25 +109,13 @@ def test_a_worker_killed_in_mid_run_loses_and_doubles_nothing(tmp_path):
 
 @pytest.mark.slow  # starts a scheduler and two workers
 def test_a_worker_of_a_cluster_killed_in_mid_run_loses_and_doubles_nothing(tmp_path, monkeypatch):
-    if find_spec("distributed") is None:
-        give_up("dask.distributed not installed: pip install 'coded-exposure[cluster]'")
-    log, folder, killed = tmp_path / "log", tmp_path / "proof", []
+    log, folder = tmp_path / "log", tmp_path / "proof"
     monkeypatch.setenv("CEP_TEST_LOG", str(log))
-    monkeypatch.setattr("cep.jobs.executors._WORKERS_S", 60.0)  # a busy machine is slow to start one
     monkeypatch.setattr(module, "judge_block", bench_work.judged_slowly)
-    all_sources.cache_clear()  # somebody may have edited them since the last test
-
-    def kill_one(share, _best):
-        if not killed and share > 0 and (victim := running(log)) is not None:
-            os.kill(victim, signal.SIGKILL)
-            killed.append(victim)
-
-    cluster = Cluster(tmp_path)
-    try:
+    kill_one, killed = killing_one(log, from_share=1e-9)  # a block is done
+    with cluster_in(tmp_path, monkeypatch) as cluster:
         workers = {process.pid for process in cluster.add_workers(2)}
         found = prove(PROBLEM, folder=folder, dask=cluster.address, progress=kill_one)
-    finally:
-        cluster.stop()
     assert len(killed) == 1
     assert set(killed) < workers
     assert_whole(folder, found)
