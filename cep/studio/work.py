@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -56,12 +57,14 @@ class Kind:
 def run(kind: str, order: Order, pipe: Connection) -> None:
     """Do one job and tell the page of it through the pipe; the entry of the job's process."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    stop_if_asked = lost_interrupts()
     with suppress(OSError, AttributeError):
         os.nice(_CALM)
     last = 0.0
 
     def tell(share: float | None = None, note: str | None = None, **more: Any) -> None:
         nonlocal last
+        stop_if_asked()
         now = time.monotonic()
         if more or now - last > _EVERY_S:
             last = now
@@ -84,6 +87,30 @@ def run(kind: str, order: Order, pipe: Connection) -> None:
             pipe.send({"state": "failed", "error": {"field": "job", "message": message}})
     finally:
         pipe.close()
+
+
+def lost_interrupts() -> Callable[[], None]:
+    """Keep interrupts that Python drops, and return a function that raises a kept one.
+
+    Python prints and forgets a KeyboardInterrupt that comes in a finalizer or in the callback of a weak reference. A
+    search that was stopped at such a moment went on.
+    """
+    lost: list[bool] = []
+    others = sys.unraisablehook
+
+    def keep(dropped: Any) -> None:
+        if issubclass(dropped.exc_type, KeyboardInterrupt):
+            lost.append(True)
+        else:
+            others(dropped)
+
+    def stop_if_asked() -> None:
+        if lost:
+            lost.clear()
+            raise KeyboardInterrupt
+
+    sys.unraisablehook = keep
+    return stop_if_asked
 
 
 def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:

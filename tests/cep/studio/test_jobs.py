@@ -2,6 +2,8 @@
 
 import asyncio
 import os
+import signal
+import sys
 
 import pytest
 from emulators.tools import require_simavr
@@ -9,6 +11,7 @@ from emulators.tools import require_simavr
 import cep
 from cep.studio import jobs as module
 from cep.studio.jobs import BusyError, Jobs
+from cep.studio.work import lost_interrupts
 
 PAGE, OTHER = "a" * 16, "b" * 16
 
@@ -101,6 +104,26 @@ def test_a_search_that_is_stopped_keeps_its_best(setting):
     assert done.state == "done"
     assert done.result["stopped"] == "interrupted"
     assert len(done.result["bits"]) == 48
+
+
+def test_a_stop_that_comes_in_a_finalizer_is_not_lost(monkeypatch):
+    class Finalized:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGINT)
+            for _ in range(1000):  # Python looks for signals between instructions
+                pass
+
+    monkeypatch.setattr(sys, "unraisablehook", sys.__unraisablehook__)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        stop_if_asked = lost_interrupts()
+        stop_if_asked()
+        Finalized()
+        with pytest.raises(KeyboardInterrupt):
+            stop_if_asked()
+        stop_if_asked()  # one stop is one interrupt
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.slow  # a process that loads the library
