@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from motdiff.io.outputs import check_file, check_folder
 
-__all__ = ["run"]
+__all__ = ["parser", "run"]
 
 FloatArray = NDArray[np.float64]
 
@@ -34,15 +34,20 @@ measured where the motion is known:
 """
 
 
-def run(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code: 0 done, 2 bad input, 1 a failure, 130 Ctrl-C."""
-    parser: argparse.ArgumentParser = _Parser(
+def parser() -> argparse.ArgumentParser:
+    """Build the parser of the command line."""
+    built: argparse.ArgumentParser = _Parser(
         prog="python -m motdiff", epilog=_EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = built.add_subparsers(required=True, metavar="COMMAND")
     for add in (_add_train, _add_prepare, _add_pack, _add_export, _add_sample):
         add(commands)
-    given = parser.parse_args(arguments)
+    return built
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit code: 0 done, 2 bad input, 1 a failure, 130 Ctrl-C."""
+    given = parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], None] = given.command
     try:
         given.check(given.out)  # before anything is read
