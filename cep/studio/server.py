@@ -29,7 +29,7 @@ from cep.studio.views import Views, start_view
 from cep.studio.work import KINDS
 from cep.workflows import catalogue
 
-__all__ = ["make_app", "serve"]
+__all__ = ["bound_socket", "make_app", "serve"]
 
 _STATIC = {
     "index.html": "text/html; charset=utf-8",
@@ -257,14 +257,7 @@ def serve(
     """
     import uvicorn
 
-    bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    try:
-        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        bound.bind(("127.0.0.1", port))
-    except (OSError, OverflowError) as error:
-        bound.close()
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ValueError(f"port: {port} cannot be used ({reason}); leave it out for a free one") from None
+    bound = bound_socket(port)
     keys = Keys(bound.getsockname()[1])
     config = uvicorn.Config(
         make_app(keys, opened=opened), log_level="error", access_log=False, server_header=False, date_header=False,
@@ -275,6 +268,23 @@ def serve(
     on_ready(keys.address)
     with bound, suppress(KeyboardInterrupt):
         server.run(sockets=[bound])
+
+
+def bound_socket(port: int) -> socket.socket:
+    """Bind the port on 127.0.0.1, 0 for a free one.
+
+    The protocol is named because asyncio turns the delay of small packets off for sockets of TCP alone; with it, an
+    answer of two packets takes 40 ms more.
+    """
+    bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    try:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind(("127.0.0.1", port))
+    except (OSError, OverflowError) as error:
+        bound.close()
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ValueError(f"port: {port} cannot be used ({reason}); leave it out for a free one") from None
+    return bound
 
 
 async def _document(request: Request) -> Mapping[str, Any]:

@@ -1,6 +1,7 @@
 import asyncio
 import base64
 import json
+import socket
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from starlette.requests import ClientDisconnect
 
 import cep
 from cep.io.images import RAW_SUFFIXES, encode_image, read_image
+from cep.studio.server import bound_socket
 from cep.studio.state import read_setting
 from cep.studio.uploads import Uploads
 from cep.workflows.advise import verdict
@@ -27,6 +29,21 @@ def test_the_page_and_its_files_are_served(client):
     assert "https://" not in page.text
     for name, kind in (("studio.js", "text/javascript"), ("studio.css", "text/css"), ("icon.svg", "image/svg+xml")):
         assert client.get(f"/static/{name}").headers["content-type"].startswith(kind)
+
+
+def test_small_packets_of_an_answer_are_not_held_back():
+    async def accepted():
+        kept = asyncio.get_running_loop().create_future()
+        with bound_socket(0) as bound:
+            async with await asyncio.start_server(lambda _, writer: kept.set_result(writer), sock=bound):
+                _, client = await asyncio.open_connection(*bound.getsockname())
+                writer = await kept
+                found = writer.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+                for one in (client, writer):
+                    one.close()
+        return found
+
+    assert asyncio.run(accepted()) != 0
 
 
 def test_figures_are_those_of_the_library(client, setting):
