@@ -127,8 +127,8 @@ Quick = Annotated[bool, typer.Option("--quick", help="The protocol's small size.
 Workers = Annotated[
     int | None,
     typer.Option(
-        "--workers", metavar="N", min=1, help="Processes, one thread each; as many as cores when omitted.",
-        rich_help_panel=MANY,
+        "--workers", metavar="N", min=1, rich_help_panel=MANY,
+        help="Processes of one thread, or threads of a proof; as many as cores when omitted.",
     ),
 ]  # fmt: skip
 Gyro = Annotated[

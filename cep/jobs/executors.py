@@ -1,4 +1,4 @@
-"""Executors of cells: processes of this machine or a Dask cluster, by joblib, in order of completion."""
+"""Executors of cells: processes or threads of this machine or a Dask cluster, in order of completion."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import logging
 import signal
 import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager
 from functools import partial
 from importlib import import_module
@@ -22,15 +22,36 @@ from cep.jobs.cells import Figure, Finished, worked
 from cep.jobs.fingerprint import all_sources
 from cep.jobs.machine import machine
 
-__all__ = ["Tasks", "in_processes", "on_cluster"]
+__all__ = ["Task", "Tasks", "in_processes", "in_threads", "on_cluster"]
 
-Tasks = Mapping[str, tuple[Callable[..., Mapping[str, Figure]], Mapping[str, Any]]]
+_Call = tuple[Callable[..., Mapping[str, Figure]], Mapping[str, Any]]
+Task = tuple[str, _Call]
+"""A key, with a function and its arguments."""
+Tasks = Mapping[str, _Call]
 """Functions and their arguments, by fingerprint."""
 
 _CONNECT_S = 5.0
 _WORKERS_S = 10.0
 _DIED = "its process died: not enough memory, or a crash in compiled code"
 _INSTALL = "install there what is installed here, and start it again"
+
+
+def in_threads(tasks: Iterator[Task], workers: int) -> Generator[tuple[str, Finished]]:
+    """Yield keys with finished work, from threads of this process: for compiled work that runs side by side there.
+
+    A task is drawn just before a thread is free for it, so that its arguments may depend on what has finished.
+    """
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            running = [pool.submit(_one, key, *call) for key, call in islice(tasks, workers + 1)]
+            while running:
+                wait(running, return_when=FIRST_COMPLETED)
+                for future in [one for one in running if one.done()]:
+                    running.remove(future)
+                    yield future.result()
+                    running += [pool.submit(_one, key, *call) for key, call in islice(tasks, 1)]
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def in_processes(tasks: Tasks, workers: int) -> Generator[tuple[str, Finished]]:

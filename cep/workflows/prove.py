@@ -1,18 +1,21 @@
-"""Proof of the best code in blocks, on processes or a Dask cluster; finished blocks stay on disk."""
+"""Proof of the best code in blocks, on the cores of this machine or a Dask cluster; finished blocks stay on disk."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cep.codes.optima import OPTIMA
+from cep.jobs.cells import Finished
 from cep.jobs.engine import run_tasks
+from cep.jobs.executors import Task, in_threads
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import chip_minimum, min_chip
 from cep.search.exhaustive.block_proof import BlockPlan, certified, core, judge_block, plan_blocks
@@ -25,7 +28,7 @@ __all__ = ["best_of", "prove"]
 
 _TIE = 1e-8  # minima as close as this are equal: the brighter code wins, then the shorter, then the first bits
 _START_STEPS = 4_000_000  # moves of the annealing that sets the first bound
-_FIRST_ROUND = 4  # blocks a worker, the next round twice as many: early ones find the better codes
+_FIRST_ROUND = 4  # blocks of a cluster, the next round twice as many: early ones find the better codes
 
 
 def prove(
@@ -46,7 +49,7 @@ def prove(
     folder : path
         Of the proof, made where it is missing; a proof in it is continued.
     workers : int
-        Processes; 1 runs in this one.
+        Threads that judge blocks; the compiled code lets them run side by side.
     dask : str, optional
         Address of the scheduler of a cluster to run on instead.
     progress : callable, optional
@@ -98,11 +101,12 @@ def best_of(plan: BlockPlan, records: Any) -> str:
 
 def _first(problem: SearchProblem, threads: int | None) -> str:
     """Return a code to begin with, proven for fewer chips or annealed; the outcome does not depend on it."""
-    found = search_code(problem, rng=np.random.default_rng(0), steps=_START_STEPS, time_s=math.inf, threads=threads)
-    known = (bits.ljust(problem.chips, "0") for bits in OPTIMA if len(bits) <= problem.chips)
-    allowed = (code for bits in known if problem.allows(code := ShutterCode(bits)))
-    best = max((found.code, *allowed), key=min_chip)
-    return core(best.bits).ljust(problem.chips, "0")
+    known = [ShutterCode(bits.ljust(problem.chips, "0")) for bits in OPTIMA if len(bits) <= problem.chips]
+    codes = [code for code in known if problem.allows(code)]
+    if problem.chips > len(OPTIMA[-1]) or codes[-1:] != known[-1:]:  # none is known to be the best
+        found = search_code(problem, rng=np.random.default_rng(0), steps=_START_STEPS, time_s=math.inf, threads=threads)
+        codes.append(found.code)
+    return core(max(codes, key=min_chip).bits).ljust(problem.chips, "0")
 
 
 def _judge(
@@ -112,35 +116,42 @@ def _judge(
     dask: str | None,
     progress: Callable[[float, ShutterCode], None] | None,
 ) -> None:
-    """Judge the missing blocks, round by round: each round has the best bound that was known at its start."""
+    """Judge the missing blocks, each with the best bound that is known when it is handed out."""
     plan = proof.plan
     done = sum(plan.blocks[index].codes for index in proof.records)
     bound = certified(best.rstrip("0")) if best else 0.0
-    waiting, size = proof.missing, _FIRST_ROUND * max(workers, 1)
-    while waiting:
-        now, waiting = waiting[:size], waiting[size:]
-        if progress is not None:
-            progress(done / plan.codes, ShutterCode(best))
-        tasks = {str(index): (judge_block, _arguments(plan, index, bound)) for index in now}
-        with closing(run_tasks(tasks, workers=workers, dask=dask)) as finishing:
-            for key, finished in finishing:
-                if finished.failure:
-                    raise RuntimeError(f"block {key}: {finished.failure}; finished blocks are kept, run again to go on")
-                proof.keep(finished.figures)
-                done += plan.blocks[int(key)].codes
-                best = best_of(plan, proof.records.values()) or best
-                if progress is not None:
-                    progress(done / plan.codes, ShutterCode(best))
-        bound = max(bound, certified(best.rstrip("0")))
+    tasks = (_task(plan, index, bound) for index in proof.missing)  # "bound" is that of the moment
+    stream = _in_rounds(tasks, dask) if dask is not None else in_threads(tasks, workers)
+    if progress is not None:
+        progress(done / plan.codes, ShutterCode(best))
+    with closing(stream) as finishing:
+        for key, finished in finishing:
+            if finished.failure:
+                raise RuntimeError(f"block {key}: {finished.failure}; finished blocks are kept, run again to go on")
+            proof.keep(finished.figures)
+            done += plan.blocks[int(key)].codes
+            better = best_of(plan, proof.records.values()) or best
+            if better != best:
+                best, bound = better, max(bound, certified(better.rstrip("0")))
+            if progress is not None:
+                progress(done / plan.codes, ShutterCode(best))
+
+
+def _in_rounds(tasks: Iterator[Task], dask: str) -> Generator[tuple[str, Finished]]:
+    """Yield the blocks of a cluster, which is given a whole round at once; each round is twice the one before."""
+    size = _FIRST_ROUND
+    while now := dict(islice(tasks, size)):
+        yield from run_tasks(now, workers=1, dask=dask)
         size *= 2
 
 
-def _arguments(plan: BlockPlan, index: int, bound: float) -> Mapping[str, Any]:
+def _task(plan: BlockPlan, index: int, bound: float) -> Task:
     block = plan.blocks[index]
-    return {
+    given = {
         "chips": plan.chips, "fewest": plan.fewest, "most": plan.most, "first": block.first, "until": block.until,
         "bound": bound,
     }  # fmt: skip
+    return str(index), (judge_block, given)
 
 
 def _result(proof: ProofFile, best: str, seconds: float) -> ExactResult:

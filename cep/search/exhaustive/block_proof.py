@@ -136,14 +136,14 @@ def judge_block(
     dict
         ``first``, ``until``, ``bound``; ``codes`` accounted for; :data:`cep.search.exhaustive.folds.COUNTS`;
         ``survivors``: codes of at most so many chips whose minimum is not below the bound, of each mirror pair the
-        larger text, joined by spaces; ``minima`` of these, in the same order; ``seconds`` of the processor.
+        larger text, joined by spaces; ``minima`` of these, in the same order; ``seconds`` of a core.
 
     Raises
     ------
     ValueError
         If so many codes reach the bound that it does not serve a proof.
     """
-    began = time.process_time()
+    began = time.thread_time()
     found, counts = np.zeros(_MOST_FOUND, np.uint64), np.zeros(len(COUNTS) + 1, np.int64)
     fold = folding(chips, (fewest, most), bound * (1 - MARGIN))
     number = scan_prefixes(first, until, fold, found, counts)
@@ -160,7 +160,7 @@ def judge_block(
         "first": first, "until": until, "bound": bound, "codes": int(counts[-1]),
         **{name: int(count) for name, count in zip(COUNTS, counts, strict=False)},
         "survivors": " ".join(ordered), "minima": " ".join(f"{kept[bits]:.9f}" for bits in ordered),
-        "seconds": round(time.process_time() - began, 3),
+        "seconds": round(time.thread_time() - began, 3),
     }  # fmt: skip
 
 
