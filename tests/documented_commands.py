@@ -15,7 +15,7 @@ from cep.cli.main import app
 from motdiff.commands import parser
 
 ROOT = Path(__file__).resolve().parent.parent
-GENERATED = {"command-line.md", "overview.md"}
+GENERATED = {"command-line.md", "overview.md", "works.md"}
 """Pages that the build of the site writes, from the commands and from the README."""
 
 LEFT_OUT = {"_build", "node_modules"}

@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 LEFT_OUT = {"node_modules", "build", "dist", "demo", "out"}
 CODE = (".py", ".toml", ".c", ".h", ".mjs")
-GENERATED = {ROOT / "docs" / name for name in ("command-line.md", "overview.md")}
+GENERATED = {ROOT / "docs" / name for name in ("command-line.md", "overview.md", "works.md")}
 """Pages that the build of the site writes; test_site follows their links."""
 
 

@@ -15,6 +15,7 @@ from cep.cli import (
     calibrate,
     calibration_set,
     camera,
+    cite,
     code,
     controller,
     deblur,
@@ -84,6 +85,7 @@ app.command("upload")(hardware.upload)
 app.add_typer(camera.camera, name="camera", cls=Group)
 app.add_typer(controller.hw, name="hw", cls=Group)
 app.add_typer(bench.bench, name="bench", cls=Group)
+app.command("cite")(cite.cite)
 app.command("studio")(studio.studio)
 app.command("demo")(demo.demo)
 for _group in (app, camera.camera, controller.hw, bench.bench):

@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from cep.io.works import work
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
 
@@ -24,26 +25,22 @@ __all__ = [
     "m_sequence",
     "names",
     "published",
+    "published_works",
 ]
 
-_RASKAR = "Raskar, Agrawal, Tumblin, Coded exposure photography, SIGGRAPH 2006"
-_MERL = "MERL SearchBestSeq.m, 2010"
-_JEON = "Jeon et al., Fluttering pattern generation using modified Legendre sequence, ICCV 2013"
-_MURA = "Legendre sequence, as in Gottesman and Fenimore, Applied Optics 1989"
-_SHIFT_REGISTER = "Golomb, Shift Register Sequences, 1967"
-
 _BITS = {
-    "raskar-52": (_RASKAR, "1010000111000001010000110011110111010111001001100111"),
-    "merl-32-t64": (_MERL + "; start code of DCE, Photonics Research 2023", "11110001110011010100010010001101"),
-    "bdinr-8": ("Zhang et al., BDINR, IJCV 2024", "11100101"),
-    "merl-31-t62": (_MERL, "1111101110100110101101110001111"),
-    "merl-31-t93": (_MERL, "1100110011100011101011011111111"),
-    "merl-32-t96": (_MERL, "10011001000101011110011101001001"),
-    "merl-50-t850": (_MERL, "11001111001111001100100001000011111100101000101001"),
-    "merl-64-t128": (_MERL, "1010100111010100010101010100100100111001110011100010011000111101"),
-    "merl-64-t192": (_MERL, "1001011010001111100001100111100110010100010010101100101010101101"),
-    "barker-13": ("Barker sequence, signs mapped to 0 and 1", "1111100110101"),
+    "raskar-52": (("raskar2006",), "", "1010000111000001010000110011110111010111001001100111"),
+    "merl-32-t64": (("merl2010", "zhang2023dce"), "", "11110001110011010100010010001101"),
+    "bdinr-8": (("zhang2024bdinr",), "", "11100101"),
+    "merl-31-t62": (("merl2010",), "", "1111101110100110101101110001111"),
+    "merl-31-t93": (("merl2010",), "", "1100110011100011101011011111111"),
+    "merl-32-t96": (("merl2010",), "", "10011001000101011110011101001001"),
+    "merl-50-t850": (("merl2010",), "", "11001111001111001100100001000011111100101000101001"),
+    "merl-64-t128": (("merl2010",), "", "1010100111010100010101010100100100111001110011100010011000111101"),
+    "merl-64-t192": (("merl2010",), "", "1001011010001111100001100111100110010100010010101100101010101101"),
+    "barker-13": (("barker1953",), "signs mapped to 0 and 1", "1111100110101"),
 }
+"""Works, a note, and bits; the second work of merl-32-t64 starts its training from this code."""
 CLAIMS: Mapping[str, tuple[int, float]] = MappingProxyType(
     {
         "merl-31-t62": (62, 0.087967),
@@ -96,12 +93,24 @@ class PublishedCode:
     ----------
     name : str
     code : ShutterCode
-    source : str
+    works : tuple of str
+        Keys in :mod:`cep.io.works`.
+    note : str
+        How the code comes from them.
+    periodic : bool
+        Whether each of its rotations is the same sequence; the best one is taken.
     """
 
     name: str
     code: ShutterCode
-    source: str
+    works: tuple[str, ...]
+    note: str = ""
+    periodic: bool = False
+
+    @property
+    def source(self) -> str:
+        """Its works in short, and the note."""
+        return "; ".join([*(work(key).short for key in self.works), *([self.note] if self.note else [])])
 
 
 def names() -> tuple[str, ...]:
@@ -120,6 +129,11 @@ def published(name: str) -> PublishedCode:
     if name not in _registry():
         raise ValueError(f"name: no published code {name!r}; there are {', '.join(names())}")
     return _rotated(name)
+
+
+def published_works(name: str) -> tuple[str, ...]:
+    """Keys of the works that a code comes from; its best rotation is not searched, unlike in :func:`published`."""
+    return _registry()[name].works
 
 
 def for_chips(chips: int) -> tuple[PublishedCode, ...]:
@@ -164,12 +178,16 @@ def best_rotation(code: ShutterCode) -> ShutterCode:
 @cache
 def _registry() -> Mapping[str, PublishedCode]:
     """All codes by name; periodic sequences as they are defined."""
-    entries = [PublishedCode(name, ShutterCode(bits), source) for name, (source, bits) in _BITS.items()]
+    entries = [PublishedCode(name, ShutterCode(bits), keys, note) for name, (keys, note, bits) in _BITS.items()]
     for n, digits in _JEON_HEX.items():
         bits = f"{int(digits, 16):0{4 * len(digits)}b}"[-n:]
-        entries.append(PublishedCode(f"jeon-{n}", ShutterCode(bits), _JEON))
-    entries += [PublishedCode(f"m-sequence-{n}", m_sequence(n), _SHIFT_REGISTER) for n in _TAPS]
-    entries += [PublishedCode(f"legendre-{prime}", legendre(prime), _MURA) for prime in _PRIMES]
+        entries.append(PublishedCode(f"jeon-{n}", ShutterCode(bits), ("jeon2013",)))
+    for n in _TAPS:
+        entries.append(PublishedCode(f"m-sequence-{n}", m_sequence(n), ("golomb1967",), periodic=True))
+    for prime in _PRIMES:
+        entries.append(
+            PublishedCode(f"legendre-{prime}", legendre(prime), ("gottesman1989",), "Legendre sequence", periodic=True)
+        )
     entries.sort(key=lambda entry: (entry.code.chips, entry.name))
     return MappingProxyType({entry.name: entry for entry in entries})
 
@@ -178,7 +196,7 @@ def _registry() -> Mapping[str, PublishedCode]:
 def _rotated(name: str) -> PublishedCode:
     """Return the entry of a name, a periodic sequence in its best rotation (1 s for all of them)."""
     entry = _registry()[name]
-    return replace(entry, code=best_rotation(entry.code)) if entry.source in (_SHIFT_REGISTER, _MURA) else entry
+    return replace(entry, code=best_rotation(entry.code)) if entry.periodic else entry
 
 
 class _LazyCodes(Mapping[str, ShutterCode]):

@@ -76,7 +76,7 @@ def pnp(
     References
     ----------
     Venkatakrishnan, Bouman, Wohlberg, "Plug-and-play priors for model based reconstruction", GlobalSIP 2013. Zhang, Li,
-    Zuo, Zhang, Van Gool, Timofte, "Plug-and-play image restoration with deep denoiser prior", TPAMI 2021: the splitting
+    Zuo, Zhang, Van Gool, Timofte, "Plug-and-play image restoration with deep denoiser prior", TPAMI 2022: the splitting
     and its levels.
     """
     if camera is not None and noise_variance is not None:

@@ -49,8 +49,8 @@ def tv(
     References
     ----------
     Wang, Yang, Yin, Zhang, "A new alternating minimization algorithm for total variation image reconstruction", SIAM
-    J. Imaging Sci. 2008; schedule of Wen, Ying, Liu, Truong, "A simple local minimal intensity prior and an improved
-    algorithm for blind image deblurring", IEEE TCSVT 2021.
+    J. Imaging Sci. 2008; schedule of Wen, Ying, Liu, Liu, Truong, "A simple local minimal intensity prior and an
+    improved algorithm for blind image deblurring", IEEE TCSVT 2021.
     """
     if not (np.isfinite(weight) and weight > 0):
         raise ValueError(f"weight: must be above 0, got {weight}")

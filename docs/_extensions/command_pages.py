@@ -1,4 +1,4 @@
-"""Pages written by the build: the command line from the commands themselves, and the README with its links."""
+"""Pages written by the build: the command line from the commands, the works, and the README with its links."""
 
 import re
 from collections.abc import Iterator
@@ -9,6 +9,8 @@ import typer
 from sphinx.application import Sphinx
 
 from cep.cli.main import app as cep
+from cep.io.works import works
+from cep.workflows.cite import citable, cite
 
 
 def commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:
@@ -57,22 +59,40 @@ def _escaped(text: str) -> str:
     return text
 
 
+def works_page() -> str:
+    """Lay out the works behind each name, and their BibTeX, as Markdown."""
+    blocks = [
+        "# Works",
+        "`cep cite METHOD` prints the BibTeX of the works behind methods, published codes, restorations and figures; "
+        "`cep cite -o works.bib` writes all of them. Please cite what you use, and the software (`CITATION.cff`). "
+        "A name without a work is of this project.",
+    ]
+    for kind, named in citable().items():
+        rows = [f"| `{name}` | {_behind(keys)} |" for name, keys in named.items()]
+        blocks += [f"## {kind.capitalize()}", "\n".join(["| name | works |", "|---|---|", *rows])]
+    return "\n\n".join([*blocks, "## BibTeX", f"```bibtex\n{cite().bibtex}```"]) + "\n"
+
+
+def _behind(keys: tuple[str, ...]) -> str:
+    return "<br>".join(works()[key].line for key in keys) or "–"
+
+
 def _overview(readme: str) -> str:
     """Turn the links of the README, which lies one folder up, into those of a page in ``docs/``."""
     inside = readme.replace("](docs/", "](")
-    return re.sub(r"\]\((?=(?:hw|cep|motdiff|notebooks|benchmarks|tests|CONTRIBUTING)\b)", "](../", inside)
+    return re.sub(r"\]\((?=(?:hw|cep|motdiff|notebooks|benchmarks|tests|CONTRIBUTING|CITATION)\b)", "](../", inside)
 
 
 def _write(app: Sphinx) -> None:
     folder = Path(app.srcdir)
     readme = (folder.parent / "README.md").read_text(encoding="utf-8")
-    for name, text in (("command-line", page()), ("overview", _overview(readme))):
+    for name, text in (("command-line", page()), ("overview", _overview(readme)), ("works", works_page())):
         path = folder / f"{name}.md"
         if not path.exists() or path.read_text(encoding="utf-8") != text:  # an unchanged page is not read again
             path.write_text(text, encoding="utf-8")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Write the page before documents are looked for."""
+    """Write the pages before documents are looked for."""
     app.connect("builder-inited", _write)
     return {"parallel_read_safe": True}

@@ -29,7 +29,7 @@ class ParametricEstimator:
 
     References
     ----------
-    Zhang, Wang, Maybank, Tao, "Exposure trajectory recovery from motion blur", TPAMI 2021.
+    Zhang, Wang, Maybank, Tao, "Exposure trajectory recovery from motion blur", TPAMI 2022.
     """
 
     def __init__(self, *, weights: Path | str | None = None) -> None:

@@ -66,7 +66,7 @@ class PathNetwork(ConditionNetwork):
 
     References
     ----------
-    Zhang, Wang, Maybank, Tao, "Exposure trajectory recovery from motion blur", TPAMI 2021 (Motion-ETR: per pixel, with
+    Zhang, Wang, Maybank, Tao, "Exposure trajectory recovery from motion blur", TPAMI 2022 (Motion-ETR: per pixel, with
     a photo encoder of its own; here one path per photo).
     """
 

@@ -39,6 +39,7 @@ COMMANDS = (
     "deblur",
     "export",
     "upload",
+    "cite",
     "studio",
     "demo",
 )
@@ -134,7 +135,7 @@ def test_every_command_has_help_with_an_example_and_the_common_options(cep, comm
     output = "--extract" if command == "studio" else "--output"  # the studio writes a folder only when asked to
     for text in ("--json", "--force", output, "Example: cep " + command):
         assert text in page
-    draws_nothing = ("refine", "camera estimate")
+    draws_nothing = ("refine", "camera estimate", "cite")
     assert ("--seed" in cep.out) == (command not in (*BENCHES, *draws_nothing))
 
 
