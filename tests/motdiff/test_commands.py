@@ -1,9 +1,11 @@
 """``python -m motdiff``: the whole way from photos to weights, and one line and exit code 2 for what can be mended."""
 
+import json
 import os
 import re
 import subprocess
 import sys
+import tomllib
 import zipfile
 from functools import partial
 from pathlib import Path
@@ -14,10 +16,12 @@ import pytest
 import torch
 
 from motdiff import commands
+from motdiff.evaluation.methods import named_estimators
 from motdiff.network.physics_maps import QuickStart, quick_kernels
 from motdiff.training import prepared as prepared_module
 from motdiff.training import samples as samples_module
 from motdiff.training.checkpoint import read_checkpoint
+from motdiff.training.config import read_config
 from motdiff.training.log import read_log
 from motdiff.weights import load_network, read_card
 
@@ -146,6 +150,65 @@ def test_training_on_simulated_photos(photos, motdiff):
     code, told = motdiff("train", write("run.toml", LIVE), "-o", "run", "--device", "cpu", "--validate-every", 1)
     assert code == 0, told
     assert {path.name for path in Path("run").iterdir()} == {"checkpoint", "log.csv", "progress.png"}
+
+
+def small(name, **changes):
+    """Text of a shipped configuration with changed entries: every key and value that stays is the shipped one."""
+    table = tomllib.loads((ROOT / "motdiff" / "configs" / f"{name}.toml").read_text(encoding="utf-8"))
+    for section, entries in changes.items():
+        table[section] |= entries
+    return "".join(
+        f"[{section}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in entries.items())
+        for section, entries in table.items()
+    )
+
+
+def first_minute(motdiff, text):
+    """Weights of a run: photos packed, trained in two pieces, exported."""
+    assert motdiff("pack", "photos", "photos.zip", "--side", 400, "--quality", 88)[0] == 0
+    train = ("train", write("run.toml", text), "-o", "run", "--device", "cpu", "--minutes", 0)
+    for steps in (1, 2):
+        code, told = motdiff(*train)
+        assert code == 0, told
+        assert read_checkpoint("run/checkpoint").step == steps
+    assert "resumed at step 1 of 2" in told
+    assert 0 <= read_log("run/log.csv")[-1]["validation_mnc"] <= 1
+    assert motdiff("export", "run", "-o", "w.safetensors", "--offset", 1.8)[0] == 0
+    network = load_network("w.safetensors")
+    assert network.config == read_config("run.toml").network
+    assert network.photo.backbone.variant == "b0"
+    return network
+
+
+SMALL = {
+    "data": {"photos": "photos.zip", "motions": 8, "held_out": 2, "validation": 1},
+    "network": {"width": 8, "physics_width": 8, "denoiser_width": 8, "decoder_widths": [8, 4], "time_width": 16},
+    "optimiser": {"steps": 2, "batch": 2, "warm_up": 1},
+}
+
+
+def test_the_papers_first_minute_on_a_gpu(photos, motdiff):
+    network = first_minute(motdiff, small("paper", **SMALL))
+    assert network.physics is None
+
+
+def test_a_gpus_first_minute(photos, motdiff):
+    """gpu.toml in small sizes, from photos to a sheet of draws and an estimate with the exported weights."""
+    shakes = np.cumsum(np.random.default_rng(0).standard_normal((1500, 3)), axis=0)
+    rows = [f"{i / 200},{x},{y},{z}" for i, (x, y, z) in enumerate(0.01 * (shakes - shakes.mean(axis=0)))]
+    trace = write("gyro.csv", "\n".join(["t_s,x,y,z", *rows]))
+    network = first_minute(motdiff, small("gpu", **SMALL, motions={"gyro_trace": trace}))
+    assert network.config.denoiser_view == 2
+    photo = cv2.imread("photos/photo0.png")[:256, :256]
+    cv2.imwrite("blurred.png", photo)
+    sample = ("sample", "blurred.png", "-o", "o.png", "--weights", "w.safetensors", "--count", 2, "--steps", 2)
+    assert motdiff(*sample)[0] == 0
+    height, width = cv2.imread("o.png").shape[:2]
+    assert width > 4 * height  # a row of the photo, three kernels and two draws, under titles
+    (estimator,) = named_estimators(["motdiff@w.safetensors"]).values()
+    estimate = estimator.estimate(photo[:96, :96] / 255)
+    assert estimate.psf.sum() == pytest.approx(1)
+    assert estimate.details["samples"] == 8
 
 
 def test_held_out_samples_are_of_other_photos(photos, motdiff, monkeypatch):

@@ -21,7 +21,7 @@ from motdiff.network.physics_maps import QuickStart, quick_kernels
 from motdiff.training import prepared as prepared_module
 from motdiff.training import samples as samples_module
 from motdiff.training.checkpoint import read_checkpoint
-from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig, read_config
+from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import LiveSource, PreparedSource
 from motdiff.training.log import read_log
 from motdiff.training.loop import Trainer
@@ -29,7 +29,6 @@ from motdiff.training.motion_bank import MotionMix
 from motdiff.training.prepared import prepare, read_shards
 from motdiff.training.run import Pace, make_sources, train, validation_mnc
 from motdiff.training.simulation import Photography
-from motdiff.weights import export_weights, load_network
 
 ROOT = Path(__file__).resolve().parents[3]
 SHORT = MotionMix(max_length_px=12)
@@ -167,36 +166,6 @@ def test_a_run_from_photos_with_a_photo_encoder(photos, tmp_path):
     network = NetworkConfig(backbone="b0", features="f2", width=8, denoiser_width=8, decoder_widths=(8, 4))
     train(live(photos, network=network, validation=1), tmp_path, pace=Pace(minutes=0))
     assert_left_behind(tmp_path, step=1)
-
-
-@pytest.fixture
-def gyro_file(tmp_path):
-    rates = 0.01 * np.cumsum(np.random.default_rng(0).standard_normal((1500, 3)), axis=0)
-    lines = [f"{i / 200},{x},{y},{z}" for i, (x, y, z) in enumerate(rates - rates.mean(axis=0))]
-    file = tmp_path / "gyro.csv"
-    file.write_text("\n".join(["t_s,x,y,z", *lines]), encoding="utf-8")
-    return str(file)
-
-
-@pytest.mark.parametrize("name", ["gpu", "paper"])
-def test_a_gpus_first_minute(photos, gyro_file, tmp_path, name):
-    """The shipped configurations for a GPU, with small sizes: simulated, stopped, resumed, exported and loaded."""
-    shipped = read_config(ROOT / "motdiff" / "configs" / f"{name}.toml")
-    sizes = {"width": 8, "physics_width": 8, "denoiser_width": 8, "decoder_widths": (8, 4), "time_width": 16}
-    config = replace(
-        shipped,
-        data=replace(shipped.data, photos=str(photos), motions=8, held_out=3, validation=1),
-        motions=replace(shipped.motions, gyro_trace=gyro_file if shipped.motions.gyro else ""),
-        network=replace(shipped.network, **sizes),
-        optimiser=replace(shipped.optimiser, steps=2, batch=2, warm_up=1),
-    )
-    first = train(config, tmp_path / "run", pace=Pace(minutes=0))
-    assert first.step == 1
-    second = train(config, tmp_path / "run")
-    assert_left_behind(tmp_path / "run", step=2)
-    export_weights(tmp_path / "run" / "checkpoint", tmp_path / "w.safetensors")
-    assert load_network(tmp_path / "w.safetensors").config == config.network
-    assert second.network.photo.backbone.variant == "b0"
 
 
 def test_no_minutes_are_one_step_and_the_next_piece_goes_on(prepared, tmp_path, capsys):
