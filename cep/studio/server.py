@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -127,13 +128,13 @@ class _Studio:
         self.jobs.stop(_page(asked.get("page")))
         return {}
 
-    def _scene(self, key: object) -> np.ndarray[Any, Any] | None:
-        """Return the restored part of a photo, None for the bundled scene."""
+    def _scene(self, key: object) -> Path | None:
+        """Return the file of the restored part of a photo, None for the bundled scene."""
         if key in (None, ""):
             return None
         photo = self.uploads.path(key)
         scene = photo.with_name(f"{photo.stem}_scene.npy")
-        return np.load(scene, allow_pickle=False) if scene.is_file() else None
+        return scene if scene.is_file() else None
 
 
 def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlette:

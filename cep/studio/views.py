@@ -7,6 +7,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from cep.io.images import encode_image
 from cep.studio.state import FieldError, Setting, path_fields
 from cep.workflows import catalogue
 from cep.workflows.demo_scene import bundled_picture
-from cep.workflows.live import LiveBench, broken_limits
+from cep.workflows.live import LiveBench, LiveScene, broken_limits
 from cep.workflows.shutter import export_code
 
 __all__ = ["Views", "start_view"]
@@ -28,7 +29,7 @@ FloatArray = NDArray[np.float64]
 
 STUDIO_SCHEMA = "cep.studio/1"
 _BENCHES = 6  # motions, cameras and shutters kept; a few MB each
-_SCENE_PX = 256
+_SCENE_PX, _LEAST_PX = 256, 64
 _FLOOR_DB = 50.0  # of the map's 8 bits
 _WORDS = {
     "open": "open shutter",
@@ -43,6 +44,7 @@ class Views:
 
     def __init__(self) -> None:
         self._benches: OrderedDict[str, LiveBench] = OrderedDict()
+        self._own: tuple[Path, LiveScene] | None = None  # scene of the latest photo
         self._keeping = threading.Lock()
 
     def picture(self, setting: Setting, *, steps: int | None = None, seed: int = 0) -> dict[str, Any]:
@@ -83,23 +85,23 @@ class Views:
         ) | {"curve": np.round(seen.curve, 5).tolist(), "open_curve": np.round(opened.curve, 5).tolist()}  # fmt: skip
 
     def photos(
-        self, setting: Setting, scene: FloatArray | None, codes: Mapping[str, str], *, restored: bool
+        self, setting: Setting, scene: Path | None, codes: Mapping[str, str], *, restored: bool
     ) -> dict[str, Any]:
-        """Return simulated photos of a scene through codes, or what is restored from them, by the codes' names."""
+        """Return simulated photos of a scene through codes, or what is restored from them, by the codes' names.
+
+        The scene is a .npy file, or the bundled picture.
+        """
         bench, _ = self._bench(setting)
-        whole = _scene() if scene is None else scene
+        shown = _scene() if scene is None else self._scene(scene)
         frame = len(bench.psf(cep.ShutterCode("1")))
-        side = min(_SCENE_PX + frame - 1, *whole.shape[:2])
-        if side < frame + 64:
+        side = min(shown.shape)
+        if side < frame + _LEAST_PX:
             raise FieldError("scene", f"the motion spans {frame} px, too far for this scene of {side} px")
-        top, left = ((length - side) // 2 for length in whole.shape[:2])
-        part = whole[top : top + side, left : left + side]
         found = {}
         for name, bits in codes.items():
             code = setting.code(bits)
-            photo = bench.photo(code, part)
-            shown = bench.restored(code, photo) if restored else photo / max(code.duty, 1e-6)
-            found[name] = _jpeg(shown)
+            photo = bench.photo(code, shown, side_px=_SCENE_PX)
+            found[name] = _jpeg(bench.restored(code, photo) if restored else photo / max(code.duty, 1e-6))
         return found
 
     def verdict(self, setting: Setting) -> dict[str, Any]:
@@ -175,6 +177,12 @@ class Views:
             }
         )  # fmt: skip
 
+    def _scene(self, file: Path) -> LiveScene:
+        with self._keeping:
+            if self._own is None or self._own[0] != file:
+                self._own = file, LiveScene(np.load(file, allow_pickle=False))
+            return self._own[1]
+
     def _bench(self, setting: Setting) -> tuple[LiveBench, dict[str, str] | None]:
         """Return the bench of a setting, and the error of its limits where there is one: codes are measured anyway."""
         error = None
@@ -219,9 +227,9 @@ def start_view() -> dict[str, Any]:
 
 
 @cache
-def _scene() -> FloatArray:
+def _scene() -> LiveScene:
     """Part of the bundled picture with the face in its middle, in colour."""
-    return np.ascontiguousarray(bundled_picture()[:384, 40:424])
+    return LiveScene(bundled_picture()[:384, 40:424])
 
 
 def _map(band: FloatArray) -> dict[str, Any]:

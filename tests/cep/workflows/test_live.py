@@ -2,13 +2,14 @@ import numpy as np
 import pytest
 
 from cep.optics.camera import Camera
+from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf, mtf
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from cep.workflows.advise import verdict
 from cep.workflows.catalogue import example_motion
-from cep.workflows.live import MAP_COLUMNS, MAP_ROWS, LiveBench, broken_limits
+from cep.workflows.live import MAP_COLUMNS, MAP_ROWS, LiveBench, LiveScene, broken_limits
 from hw.device import load_profile
 
 CAMERA = Camera.load("video-8bit").at(2000)
@@ -44,17 +45,44 @@ def test_the_verdict_does_not_depend_on_what_was_judged_before():
         assert bench.verdict(code).sentence == verdict(problem, code).sentence
 
 
-def test_photos_of_two_codes_have_the_same_noise_and_restore_towards_the_scene():
-    problem = SearchProblem.along(example_motion("shake"), chips=16, exposure_s=0.02, camera=CAMERA.at(50_000))
+@pytest.mark.parametrize("name", ["shake", "walk"])
+def test_photos_of_two_codes_have_the_same_noise_and_restore_towards_the_scene(name):
+    problem = SearchProblem.along(example_motion(name), chips=16, exposure_s=0.02, camera=CAMERA.at(50_000))
     bench = LiveBench(problem)
-    scene = 0.2 + 0.6 * np.kron(np.random.default_rng(1).random((24, 24)), np.ones((6, 6)))
-    photo = bench.photo(CODE, scene, seed=3)
-    assert np.array_equal(photo, bench.photo(CODE, scene, seed=3))
-    assert photo.mean() == pytest.approx(CODE.duty * scene.mean(), rel=0.05)
-    reach = (len(scene) - len(photo)) // 2
-    still = scene[reach : reach + len(photo), reach : reach + len(photo)]
+    light = 0.2 + 0.6 * np.kron(np.random.default_rng(1).random((40, 40)), np.ones((6, 6)))
+    scene = LiveScene(light, seed=3)
+    photo = bench.photo(CODE, scene, side_px=120)
+    assert photo.shape == (120, 120)
+    assert np.array_equal(photo, bench.photo(CODE, scene, side_px=120))
+    assert photo.mean() == pytest.approx(CODE.duty * light.mean(), rel=0.05)
+    reach = (len(light) - len(photo)) // 2
+    still = light[reach : reach + len(photo), reach : reach + len(photo)]
     error = np.abs(bench.restored(CODE, photo) - still)[20:-20, 20:-20].mean()
     assert error < 0.5 * np.abs(photo / CODE.duty - still)[20:-20, 20:-20].mean()
+
+
+def test_a_live_photo_is_the_middle_of_the_one_that_capture_takes():
+    bright = Camera(photons_full_scale=1e9, read_noise_e=0, bits=16, response="linear")
+    path = example_motion("shake")
+    bench = LiveBench(SearchProblem.along(path, chips=16, camera=bright))
+    light = np.random.default_rng(1).random((90, 101, 3))
+    whole = capture(light, path, CODE, bright, rng=np.random.default_rng(0))
+    rows, columns = ((size - 40) // 2 for size in whole.shape[:2])
+    photo = bench.photo(CODE, LiveScene(light), side_px=40)
+    assert photo == pytest.approx(whole[rows : rows + 40, columns : columns + 40], abs=2e-4)
+    with pytest.raises(ValueError, match="psf"):
+        bench.photo(CODE, LiveScene(light[:10]), side_px=40)
+
+
+@pytest.mark.parametrize("electrons", [2.0, 40.0])
+def test_live_noise_has_the_moments_of_counted_photons(electrons):
+    camera = Camera(photons_full_scale=4 * electrons, read_noise_e=0, bits=16, response="linear")
+    photo = LiveScene(np.full((400, 400), 0.25)).photo(np.ones((1, 1)), camera, side_px=400)
+    counted = 4 * electrons * photo
+    assert counted == pytest.approx(np.rint(counted), abs=electrons * 1e-4)  # steps of 16 bits
+    assert counted.mean() == pytest.approx(electrons, rel=0.01)
+    assert counted.var() == pytest.approx(electrons, rel=0.06)
+    assert ((counted - counted.mean()) ** 3).mean() == pytest.approx(electrons, rel=0.15, abs=0.03 * electrons**1.5)
 
 
 @pytest.mark.parametrize(
