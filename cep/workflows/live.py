@@ -214,9 +214,7 @@ class LiveScene:
         seen = [_middle(one, side_px) for one in valid_window(self.shape, psf.shape)]
         kernel = fft.rfft2(psf.astype(np.float32), self.shape)
         blurred = fft.irfft2(self._spectrum * kernel, self.shape)  # lies half a frame further; its wrap is not seen
-        shifted = [
-            slice(one.start + size // 2, one.stop + size // 2) for one, size in zip(seen, psf.shape, strict=True)
-        ]
+        below, right = (slice(one.start + n // 2, one.stop + n // 2) for one, n in zip(seen, psf.shape, strict=True))
         window = (slice(None), *seen)
         noise, z = camera.noise, self._photon[window]
         electrons = np.maximum(blurred[:, below, right], 0) * np.float32(noise["photons_full_scale"])
