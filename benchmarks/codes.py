@@ -1,7 +1,7 @@
 """Shutter codes, measured: the published ones, the annealer's, and what an unknown direction costs on curved paths.
 
     python benchmarks/codes.py [--seconds 40] [--curved-seconds 10] [--motions 8]
-                               [--only league|certificates|straight|curved]
+                               [--only league|certificates|straight|curved] [--table league.tex]
 
 Noise gains are 10 log10 mean 1/|H|^2. On straight motion H is the code's polynomial in chips over the unit circle; on
 curved paths it is light-true over the band [-0.5, 0.5]^2, and "DC" adds 20 log10 duty.
@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import argparse
 import time
+from pathlib import Path
 
 import numpy as np
 
 from cep.codes.published import CLAIMS, for_chips, names, published
+from cep.io.tables import Sheet, check_table_name, markdown_table, write_sheets
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import chip_noise_db
 from cep.proofs.certify.certificate import certify
@@ -34,30 +36,34 @@ def chip_row(name: str, code: ShutterCode, seconds: float) -> None:
     )
 
 
-def league() -> None:
-    """Print the tables of docs/league.md."""
-    print("| code | n | k | min \\|P\\|, proven | / DC | n-point DFT says | noise, dB | noise / DC, dB |")
-    print("|---|---|---|---|---|---|---|---|")
+def league(file: Path | None) -> None:
+    """Print the tables of docs/league.md, and write them to a .tex, .csv or .md file where one is named."""
+    measured, claimed = [], []
     for name in names():
         code = published(name).code
         found, noise = chip_minimum(code), chip_noise_db(code)
-        claim = np.abs(np.fft.fft(code.array)).min()
+        grid = np.abs(np.fft.fft(code.array)).min()
         shown = "inf", "inf"
         if found.upper > 0:
             shown = f"{noise:.2f}", f"{noise + 20 * np.log10(code.open_chips):.2f}"
-        print(
-            f"| {name} | {code.chips} | {code.open_chips} | {found.lower:.4f} .. {found.upper:.4f} | "
-            f"{found.upper / code.open_chips:.4f} | {claim:.4f} | {shown[0]} | {shown[1]} |"
+        proven = f"{found.lower:.4f} .. {found.upper:.4f}"
+        measured.append(
+            (name, code.chips, code.open_chips, proven, f"{found.upper / code.open_chips:.4f}", f"{grid:.4f}", *shown)
         )
-    print("\n| code | points of the grid | claimed min / DC | proven min / DC | where, cycles per chip | proof |")
-    print("|---|---|---|---|---|---|")
     for name, (points, claim) in CLAIMS.items():
         code = published(name).code
         found = chip_minimum(code)
-        print(
-            f"| {name} | {points} | {claim:.6f} | {found.upper / code.open_chips:.4f} | {found.at[0]:.6f} | "
-            f"{found.method} |"
-        )
+        true = f"{found.upper / code.open_chips:.4f}"
+        claimed.append((name, points, f"{claim:.6f}", true, f"{found.at[0]:.6f}", found.method))
+    heads = ("code", "n", "k", "min |P|, proven", "/ DC", "n-point DFT says", "noise, dB", "noise / DC, dB")
+    others = ("code", "points of the grid", "claimed min / DC", "proven min / DC", "where, cycles per chip", "proof")
+    sheets = [
+        Sheet("Published codes, measured again", heads, measured),
+        Sheet("Minima that their authors claim", others, claimed),
+    ]
+    print("\n".join(f"{markdown_table(one.columns, [list(map(str, row)) for row in one.rows])}\n" for one in sheets))
+    if file is not None:
+        write_sheets(sheets, file)
 
 
 def certificates() -> None:
@@ -148,10 +154,13 @@ def main() -> None:
     parser.add_argument("--curved-seconds", type=float, default=10.0)
     parser.add_argument("--motions", type=int, default=8)
     parser.add_argument("--only", choices=["league", "certificates", "straight", "curved"])
+    parser.add_argument("--table", type=Path, help="also write the league: .tex, .csv or .md")
     chosen = parser.parse_args()
+    if chosen.table is not None:
+        check_table_name(chosen.table)
     began = time.monotonic()
     if chosen.only in (None, "league"):
-        league()
+        league(chosen.table)
     if chosen.only in (None, "certificates"):
         certificates()
     if chosen.only in (None, "straight"):

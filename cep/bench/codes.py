@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from cep.bench.table_io import machines_markdown, made_json, markdown_table
+from cep.bench.table_io import machines_markdown, made_json
 from cep.io.outputs import new_folder
+from cep.io.tables import Sheet, latex, markdown_table
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.fingerprint import source_version
 from cep.optics.code import ShutterCode
@@ -167,7 +168,7 @@ def _noise_db(code: ShutterCode) -> float:
     return float(noise_db)
 
 
-CODE_FILES = ("codes.md", "codes.csv", "codes.json")
+CODE_FILES = ("codes.md", "codes.tex", "codes.csv", "codes.json")
 """Files of the table."""
 
 CODE_HEAD = ("code", "open", "its min |P|", "its noise, dB", "our min |P|", "our noise, dB", "better on both")
@@ -254,6 +255,7 @@ def write_codes_report(
     with new_folder(folder, CODE_FILES, force=force) as made:
         texts = {
             "codes.md": "\n".join(head) + f"\n{markdown_table(CODE_HEAD, code_lines(rows))}\n{count}",
+            "codes.tex": latex([Sheet("Published codes", CODE_HEAD, code_lines(rows))]),
             "codes.csv": _csv(rows),
             "codes.json": made_json(
                 {"codes": codes_table(rows)}, command=command, seed=seed, machines=machines, warnings=warnings

@@ -8,10 +8,10 @@ from pathlib import Path
 from cep.bench.codes import CODE_FILES, CODE_HEAD, code_cells, code_lines, code_row, codes_table, write_codes_report
 from cep.bench.job import Job, Part, outcome_warnings, spelled
 from cep.bench.own_codes import load_own_codes, spelled_own_codes
-from cep.bench.table_io import markdown_table
 from cep.bench.tables import TextTable
 from cep.codes import published as registry
 from cep.io.outputs import claim_folder
+from cep.io.tables import markdown_table
 from cep.jobs.engine import Engine
 
 __all__ = ["codes_job"]

@@ -1,4 +1,4 @@
-"""Benchmark tables as files: Markdown, CSV and JSON."""
+"""Benchmark tables as files: Markdown, LaTeX, CSV and JSON."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from cep.bench.tables import Table
 from cep.io.files import json_text
+from cep.io.tables import Sheet, latex, markdown
 from cep.jobs.cache import ENGINE
 from cep.plots.canvas import png_bytes, undated
 
@@ -23,10 +24,10 @@ __all__ = [
     "TABLES_SCHEMA",
     "machines_markdown",
     "made_json",
-    "markdown_table",
     "means_in_words",
     "tables_csv",
     "tables_json",
+    "tables_latex",
     "tables_markdown",
     "write_figure",
 ]
@@ -37,8 +38,16 @@ TABLES_SCHEMA = "cep.bench/1"
 
 def tables_markdown(tables: Sequence[Table]) -> str:
     """Lay out tables as Markdown; a row is bold where a paired test finds it better than the next one."""
-    blocks = [f"**{table.title}**\n\n{markdown_table(table.head, table.lines(('**', '**')))}\n" for table in tables]
-    return "\n".join(blocks)
+    return markdown(_sheets(tables))
+
+
+def tables_latex(tables: Sequence[Table]) -> str:
+    """Lay out tables as LaTeX, see :func:`cep.io.tables.latex`; bold as in Markdown."""
+    return latex(_sheets(tables))
+
+
+def _sheets(tables: Sequence[Table]) -> list[Sheet]:
+    return [Sheet(table.title, table.head, table.lines(("[bold]", "[/bold]"))) for table in tables]
 
 
 def means_in_words(tables: Sequence[Table]) -> str:
@@ -51,14 +60,6 @@ def means_in_words(tables: Sequence[Table]) -> str:
     return (
         "Means, and in brackets their 95 % intervals for other photos and other motions alike; the best is bold only "
         "where a paired test tells it from the next one."
-    )
-
-
-def markdown_table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """Lay out lines of texts as a Markdown table: the first column to the left, the others, figures, to the right."""
-    rule = ("---", *("---:",) * (len(head) - 1))
-    return "\n".join(
-        "| " + " | ".join(text.replace("|", "\\|") for text in line) + " |" for line in (head, rule, *lines)
     )
 
 

@@ -17,10 +17,12 @@ from cep.cli.options import (
     Photons,
     ReadNoise,
     Seed,
+    TableFile,
     TrajectoryFile,
     load_camera,
     load_motion,
     output_option,
+    table_files,
 )
 
 if TYPE_CHECKING:
@@ -65,6 +67,7 @@ def advise(
     photons: Photons = None,
     read_noise: ReadNoise = None,
     output: Annotated[Path, output_option("Figure to write: .png, .pdf or .svg.")] = Path("advice.png"),
+    tables: TableFile = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
@@ -125,7 +128,7 @@ def advise(
         error_px = path_error or 0.0
         gains: Mapping[int, float] = {}
         problem = None if count is None else problem_of(count)
-        claim([output], force=force, inputs=[] if trajectory is None else [trajectory])
+        claim([output, *table_files(tables)], force=force, inputs=[] if trajectory is None else [trajectory])
         if problem is None:
             count, gains = suited_chips(problem_of, path_error_px=error_px, seed=seed, progress=part(tick, 0.0, 0.4))
             problem = problem_of(count)
@@ -138,7 +141,7 @@ def advise(
         **advice.to_dict(), "codes": [way.to_dict() for way in judged], "other_chips_db": gains, "plot": output,
         "seed": seed, "warnings": warnings,
     }  # fmt: skip
-    finish(result, as_json=as_json, show=lambda console: _show(console, advice, judged, gains, output))
+    finish(result, as_json=as_json, show=lambda console: _show(console, advice, judged, gains, output), tables=tables)
 
 
 def _chip_time_ns(stated: set[int | None], chips: int | None, exposure_s: float | None) -> int | None:

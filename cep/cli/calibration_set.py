@@ -9,7 +9,7 @@ import typer
 
 from cep.cli.code_options import ChipTime, Device, chips_option
 from cep.cli.console import finish, progress, table
-from cep.cli.options import Force, Json, Seed, output_option
+from cep.cli.options import Force, Json, Seed, TableFile, output_option, table_files
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,6 +30,7 @@ def calibration_set(
         str, typer.Option("--format", "-f", metavar="NAME", help="Of the timed programs, as of cep export.")
     ] = "csv",
     output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("calibration_set"),
+    tables: TableFile = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
@@ -51,18 +52,19 @@ def calibration_set(
     """
     import numpy as np
 
-    from cep.io.outputs import claim_folder
+    from cep.io.outputs import claim, claim_folder
     from cep.workflows.calibration_set import calibration_set as design
     from cep.workflows.calibration_set import set_files
 
     claim_folder(output, set_files(photos, file_format), force=force)
+    claim(table_files(tables), force=force)
     with progress("designing codes") as tick:
         found = design(
             photos, chips=chips, chip_ns=chip_ns, device=device, rng=np.random.default_rng(seed), progress=tick
         )
         files = found.save(output, file_format=file_format, force=force)
     result = {"folder": output, "files": files, **found.to_dict(output), "seed": seed}
-    finish(result, as_json=as_json, show=lambda console: _show(console, found, output))
+    finish(result, as_json=as_json, show=lambda console: _show(console, found, output), tables=tables)
 
 
 def _show(console: Console, found: CalibrationSet, folder: Path) -> None:

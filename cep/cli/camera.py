@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.cli.console import finish, progress, table
-from cep.cli.options import Force, Json, output_option
+from cep.cli.options import Force, Json, TableFile, output_option, table_files
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,24 +21,26 @@ camera = typer.Typer(help="Cameras: known ones, and yours measured from flat fra
 
 
 @camera.command("list")
-def list_(as_json: Json = False) -> None:
+def list_(tables: TableFile = None, force: Force = False, as_json: Json = False) -> None:
     """List the cameras that --camera knows by name.
 
     Full well and read noise are in electrons, gain in electrons per code value.
 
     Example: cep camera list --json
     """
+    from cep.io.outputs import claim
     from cep.optics.camera import Camera, camera_names
 
+    claim(table_files(tables), force=force)
     cameras = [Camera.load(name) for name in camera_names()]
     rows = [
         (one.name, one.kind, f"{one.full_well_e:.0f}", f"{one.read_noise_e:g}", one.bits,
          None if one.gain_e_per_dn is None else f"{one.gain_e_per_dn:g}")
         for one in cameras
     ]  # fmt: skip
-    finish({"cameras": [one.to_dict() for one in cameras]}, as_json=as_json, show=lambda console: console.print(
-        table("cameras", ("name", "kind", "full well", "read noise", "bits", "gain"), rows)
-    ))  # fmt: skip
+    shown = table("cameras", ("name", "kind", "full well", "read noise", "bits", "gain"), rows)
+    result = {"cameras": [one.to_dict() for one in cameras]}
+    finish(result, as_json=as_json, show=lambda console: console.print(shown), tables=tables)
 
 
 @camera.command("show")

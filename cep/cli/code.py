@@ -19,10 +19,12 @@ from cep.cli.options import (
     Photons,
     ReadNoise,
     Seed,
+    TableFile,
     TrajectoryFile,
     load_camera,
     load_motion,
     output_option,
+    table_files,
 )
 
 if TYPE_CHECKING:
@@ -63,6 +65,7 @@ def audit(
         typer.Option("--blocks", metavar="N", min=1, help="Of a proof: blocks to judge again; 4 when omitted."),
     ] = None,
     output: Annotated[Path | None, output_option("Also write the result as JSON.")] = None,
+    tables: TableFile = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
@@ -102,7 +105,7 @@ def audit(
     if is_proof(code):
         given = {
             "--trajectory": trajectory, "--linear": linear, "--flips": flips, "--chip-ns": chip_ns, "--camera": camera,
-            "--photons": photons, "--read-noise": read_noise, "--figure": figure,
+            "--photons": photons, "--read-noise": read_noise, "--figure": figure, "--table": tables,
         }  # fmt: skip
         for name, value in given.items():
             if value is not None and value != []:
@@ -121,7 +124,7 @@ def audit(
     with progress("auditing") as tick:
         found = audited(
             stored.code, motion, camera=noise, flips=flips, figures=own, progress=tick,
-            on_checked=lambda: claim([output] if output else [], force=force),
+            on_checked=lambda: claim([*([output] if output else []), *table_files(tables)], force=force),
         )  # fmt: skip
         judged = None
         if motion is not None:
@@ -147,7 +150,7 @@ def audit(
     result = {**advised, **found.to_dict(), "verified": verdict, "seed": seed, "warnings": warnings}
     if output:
         write_text(output, json_text(result))
-    finish(result, as_json=as_json, show=lambda console: _show(console, found, verdict, said=said))
+    finish(result, as_json=as_json, tables=tables, show=lambda console: _show(console, found, verdict, said=said))
 
 
 def _audit_proof(path: Path, blocks: int, output: Path | None, *, force: bool, seed: int, as_json: bool) -> None:
@@ -198,7 +201,7 @@ def _show(console: Console, found: Audit, verdict: Verdict | None, *, said: str 
     )
     rows = [(name, found.metrics.in_words(name)) for name in found.metrics.to_dict()]
     rows += [(figure_head(*item), figure_in_words(item[1])) for item in found.figures.items()]
-    console.print(table("", ("figure", "value"), rows))
+    console.print(table("figures", ("figure", "value"), rows))
     what, unit = ("|P|", "chips") if straight else ("|H|", "light-true")
     # as they are: an upper bound of 1e-13 is no proven zero
     place = _place(minimum.at, straight)
@@ -212,7 +215,7 @@ def _show(console: Console, found: Audit, verdict: Verdict | None, *, said: str 
         if len(zeros.found) > _SHOWN:
             console.print(f"  and {len(zeros.found) - _SHOWN} more: --json lists them")
     grids = [(claim.name, claim.minimum, claim.verdict) for claim in found.grids]
-    console.print(table("what grids say", ("grid", "minimum", ""), grids))
+    console.print(table("what grids say", ("grid", "minimum", "verdict"), grids))
     near = [(", ".join(map(str, one.flips)), one.minimum, one.code.bits) for one in found.neighbours]
     if near:
         console.print(table("better codes nearby", ("flip chips", "minimum", "bits"), near))
@@ -229,6 +232,7 @@ def mtf(
     ] = None,
     figure: Figures = None,
     output: Annotated[Path, output_option("Figure to write: .png, .pdf or .svg.")] = Path("mtf.png"),
+    tables: TableFile = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
@@ -253,7 +257,9 @@ def mtf(
             label += "'"
         shutters[label] = load_code(source)
     with progress("drawing"):
-        found = compare_mtfs(motion, shutters, figures=own, on_checked=lambda: claim([output], force=force))
+        found = compare_mtfs(
+            motion, shutters, figures=own, on_checked=lambda: claim([output, *table_files(tables)], force=force)
+        )
         found.save(output)
 
     def show(console: Console) -> None:
@@ -268,7 +274,7 @@ def mtf(
         ]
         console.print(table(str(output), ("code", "min MTF", "noise gain, dB", "MSE, dB", *heads), rows))
 
-    finish({"image": output, "curves": found.to_dict(), "seed": seed}, as_json=as_json, show=show)
+    finish({"image": output, "curves": found.to_dict(), "seed": seed}, as_json=as_json, show=show, tables=tables)
 
 
 def _place(at: tuple[float, ...], in_chips: bool) -> str:

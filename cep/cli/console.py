@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
 
+    from cep.io.tables import Sheet
+
 __all__ = [
     "BAD_INPUT",
     "FAILURE",
@@ -42,7 +44,9 @@ class Tick(Protocol):
         """Say that ``fraction`` (0..1) of the work is done."""
 
 
-def finish(result: Mapping[str, object], *, as_json: bool, show: Callable[[Console], None]) -> None:
+def finish(
+    result: Mapping[str, object], *, as_json: bool, show: Callable[[Console], None], tables: Path | None = None
+) -> None:
     """Print a command's result: as strict JSON, or through ``show`` for people.
 
     Parameters
@@ -51,7 +55,13 @@ def finish(result: Mapping[str, object], *, as_json: bool, show: Callable[[Conso
         ``warnings``, where present, go to stderr for people.
     as_json : bool
     show : function that prints on the console it is given
+    tables : Path, optional
+        File for the tables that ``show`` prints, whole: .tex, .csv or .md.
     """
+    if tables is not None:
+        from cep.io.tables import write_sheets
+
+        write_sheets(_sheets(show), tables)
     if as_json:
         from cep.io.files import json_text
 
@@ -59,10 +69,31 @@ def finish(result: Mapping[str, object], *, as_json: bool, show: Callable[[Conso
         return
     from rich.console import Console
 
-    show(Console(highlight=False, soft_wrap=True))
+    console = Console(highlight=False, soft_wrap=True)
+    show(console)
+    if tables is not None:
+        console.print(f"{tables}: the tables", markup=False)
     warnings = result.get("warnings", ())
     for warning in warnings if isinstance(warnings, Sequence) else ():
         warn(str(warning))
+
+
+def _sheets(show: Callable[[Console], None]) -> list[Sheet]:
+    """Collect the tables that a page for people has."""
+    from io import StringIO
+
+    from rich.console import Console
+
+    from cep.io.tables import Sheet
+
+    found: list[Sheet] = []
+
+    class Collector(Console):
+        def print(self, *objects: Any, **_: Any) -> None:
+            found.extend(Sheet(one.title, one.columns, one.rows) for one in objects if isinstance(one, Table))
+
+    show(Collector(file=StringIO()))
+    return found
 
 
 def warn(message: str) -> None:
@@ -170,7 +201,9 @@ class Table:
         from rich.box import SIMPLE_HEAD
         from rich.table import Table as RichTable
 
-        texts = [[_cell(value) for value in row] for row in self.rows]
+        from cep.io.tables import cell_text
+
+        texts = [[cell_text(value) for value in row] for row in self.rows]
         shown, widths = self._fitted(texts, options.max_width)
         made = RichTable(title=self.title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
         for index, width in zip(shown, widths, strict=True):
@@ -218,16 +251,6 @@ def photo_named(line: str, images: Sequence[Path]) -> str:
     """
     found = re.match(r"photo(?: (\d+))?: ", line)
     return line if found is None else f"{images[int(found[1] or 1) - 1]}: {line[found.end() :]}"
-
-
-def _cell(value: object) -> str:
-    from cep.io.formatting import number
-
-    if value is None:
-        return "–"
-    if isinstance(value, float):
-        return number(value) if abs(value) < 1000 else f"{value:.1f}"
-    return str(value)
 
 
 def _longest(texts: Sequence[Sequence[str]], index: int) -> int:

@@ -55,8 +55,8 @@ def optimize_frames(task: Task, frames: int, run: SearchRun) -> Callable[[], Non
         write_frames(files, found, described=task.described)
 
     best = find_frames(
-        task.problem, run.how, frames, progress=run.tick, on_checked=lambda: claim(files, force=run.force),
-        on_found=keep,
+        task.problem, run.how, frames, progress=run.tick, on_found=keep,
+        on_checked=lambda: claim(run.outputs(*files), force=run.force),
     )  # fmt: skip
     best.save(files, described=task.described)
     result = {"files": files, **best.to_dict(), "warnings": list(best.warnings)}

@@ -48,6 +48,7 @@ def finish_folder(
     title: str,
     noun: str,
     as_json: bool,
+    tables: Path | None = None,
 ) -> None:
     """Print the table of a folder and end the command.
 
@@ -61,6 +62,8 @@ def finish_folder(
     title, noun : str
         Of the table, and what its rows are, in the plural.
     as_json : bool
+    tables : Path, optional
+        As of :func:`cep.cli.console.finish`.
 
     Raises
     ------
@@ -86,7 +89,12 @@ def finish_folder(
         console.print(table(title, (columns[name], *(columns[key] for key in shown), "warnings"), lines, kept=1))
         console.print(escape(str(result["summary"])))
 
-    finish({**result, "failures": failures, "missing": missing, "warnings": told}, as_json=as_json, show=show)
+    finish(
+        {**result, "failures": failures, "missing": missing, "warnings": told},
+        as_json=as_json,
+        show=show,
+        tables=tables,
+    )
     end(missing=missing, failed=len(failures))
 
 

@@ -50,10 +50,12 @@ from cep.cli.options import (
     Photons,
     ReadNoise,
     Seed,
+    TableFile,
     TrajectoryFile,
     load_camera,
     load_motion,
     output_option,
+    table_files,
 )
 from cep.cli.search_run import SearchRun
 from cep.workflows.search_options import SearchOptions, Task, ending, openings, task_of
@@ -165,6 +167,7 @@ def optimize(
             metavar="PATH",
         ),
     ] = None,
+    tables: TableFile = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
@@ -249,7 +252,13 @@ def optimize(
         wish = wish_of(chips or len(fixed or "") or _STANDARD_CHIPS)
         light = load_camera(camera, photons=photons, read_noise=read_noise)
         run = SearchRun(
-            how=how, profile=profile, output=output or Path("code.json"), force=force, as_json=as_json, tick=tick
+            how=how,
+            profile=profile,
+            output=output or Path("code.json"),
+            force=force,
+            as_json=as_json,
+            tables=tables,
+            tick=tick,
         )
         own = find_figures(figure or ())
         if own and frames > 1:
@@ -293,6 +302,7 @@ def optimize(
                 )
             from cep.workflows.optimize_folder import optimize_folder
 
+            claim(table_files(tables), force=force)
             found = optimize_folder(
                 each, task, how, output, figures=list(own), profile=profile, cache=cache, workers=workers, dask=dask,
                 force=force, progress=tick,
@@ -305,6 +315,7 @@ def optimize(
                 title="a code for each motion (worse direction where unknown)",
                 noun="motions",
                 as_json=as_json,
+                tables=tables,
             )
         else:
             blocks = None
@@ -324,7 +335,7 @@ def optimize(
             if frames > 1:
                 show = optimize_frames(task(stored, trajectory), frames, run)
             else:
-                outputs = ([run.output], [] if trajectory is None else [trajectory])
+                outputs = (run.outputs(), [] if trajectory is None else [trajectory])
                 chosen: ChipCount | None = None
                 began = time.monotonic()
                 error_px = 0.0 if trajectory is None else stated_uncertainty_px(stored, trajectory) or 0.0

@@ -97,7 +97,7 @@ def optimize_class(task: ClassTask, run: SearchRun) -> Callable[[], None]:
     from cep.workflows.optimize import stored_search
     from cep.workflows.optimize_class import optimize_class as find
 
-    claim([run.output], force=run.force)
+    claim(run.outputs(), force=run.force)
 
     def keep(code: ShutterCode, found: Found) -> None:
         """Write the code before it is judged: Ctrl-C from here on must not lose it."""

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CAMERA", "COMMON", "MOTION", "CameraFile", "ChipNs", "CodeSource", "Figures", "Force", "Gamma", "Json", "Linear",
-    "Photons", "ReadNoise", "Seed", "TrajectoryFile", "code_figures", "load_camera", "load_motion", "output_option",
+    "Photons", "ReadNoise", "Seed", "TableFile", "TrajectoryFile", "code_figures", "load_camera", "load_motion",
+    "output_option", "table_files",
 ]  # fmt: skip
 
 COMMON, MOTION, CAMERA = "Common options", "Motion", "Camera"
@@ -31,6 +32,13 @@ Seed = Annotated[
     ),
 ]  # fmt: skip
 Force = Annotated[bool, typer.Option("--force", help="Replace outputs that exist.", rich_help_panel=COMMON)]
+TableFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--table", metavar="FILE", rich_help_panel=COMMON,
+        help="Also write the tables, with all their columns: .tex (booktabs), .csv or .md.",
+    ),
+]  # fmt: skip
 Gamma = Annotated[
     str, typer.Option("--gamma", metavar="CURVE", help="Curve of the photo: srgb, linear, or an exponent as 2.2.")
 ]
@@ -80,6 +88,25 @@ ReadNoise = Annotated[
 def output_option(help: str, *, metavar: str = "FILE") -> Any:
     """Make the option ``-o`` of a command."""
     return typer.Option("-o", "--output", metavar=metavar, help=help, rich_help_panel=COMMON)
+
+
+def table_files(table: Path | None) -> list[Path]:
+    """Return the file of ``--table``, to be claimed with the other outputs; none where it is not given.
+
+    Raises
+    ------
+    ValueError
+        If the name has a suffix that tables are not written with.
+    """
+    from cep.io.tables import check_table_name
+
+    if table is None:
+        return []
+    try:
+        check_table_name(table)
+    except ValueError as error:
+        raise ValueError(f"--table: {error}") from None
+    return [table]
 
 
 def load_motion(trajectory: Path | None, linear: float | None) -> StoredMotion:

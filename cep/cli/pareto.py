@@ -31,10 +31,12 @@ from cep.cli.options import (
     Photons,
     ReadNoise,
     Seed,
+    TableFile,
     TrajectoryFile,
     load_camera,
     load_motion,
     output_option,
+    table_files,
 )
 from cep.workflows.search_options import ending
 
@@ -96,6 +98,7 @@ def pareto(
             help="Figure to write: .png, .pdf or .svg; named as the output, .png, when omitted.",
         ),
     ] = None,
+    tables: TableFile = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
@@ -151,12 +154,12 @@ def pareto(
         inputs = [] if trajectory is None else [trajectory]
         found = find_front(
             problem, steps=steps, time_s=time_s, seed=seed, path_error_px=error_px or 0.0, progress=tick,
-            on_checked=lambda: claim([output, picture], force=force, inputs=inputs),
+            on_checked=lambda: claim([output, picture, *table_files(tables)], force=force, inputs=inputs),
         )  # fmt: skip
         found.save(output, picture, source={"trajectory": trajectory, "linear_px": linear})
     warnings = [in_options(line, context) for line in found.warnings]
     result = {"file": output, "plot": picture, **found.to_dict(), "seed": seed, "warnings": warnings}
-    finish(result, as_json=as_json, show=lambda console: _show(console, found, output, picture))
+    finish(result, as_json=as_json, show=lambda console: _show(console, found, output, picture), tables=tables)
 
 
 def _show(console: Console, found: FrontComparison, output: Path, picture: Path) -> None:

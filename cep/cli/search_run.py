@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cep.cli.console import finish
+from cep.cli.options import table_files
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,6 +33,8 @@ class SearchRun:
     output : Path
     force, as_json : bool
         As the command's options.
+    tables : Path, optional
+        As ``--table``.
     tick : Tick
     """
 
@@ -40,7 +43,12 @@ class SearchRun:
     output: Path
     force: bool
     as_json: bool
+    tables: Path | None
     tick: Tick
+
+    def outputs(self, *files: Path) -> list[Path]:
+        """Return the files that are written: the codes', :attr:`output` when omitted, and the tables'."""
+        return [*(files or (self.output,)), *table_files(self.tables)]
 
     def check_playable(self, *codes: ShutterCode) -> None:
         """Refuse codes that the device cannot play.
@@ -60,4 +68,7 @@ class SearchRun:
         """Return the function that prints a result: by ``show`` for people, or as JSON with the seed."""
         from functools import partial
 
-        return partial(finish, {**result, "seed": self.how.seed}, as_json=self.as_json, show=show)
+        return partial(
+            finish, {**result, "seed": self.how.seed}, as_json=self.as_json, show=show,
+            tables=self.tables,
+        )  # fmt: skip

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.cli.console import FAILURE, complain, finish, table
-from cep.cli.options import ChipNs, CodeSource, Force, Json, Linear, TrajectoryFile, load_motion
+from cep.cli.options import ChipNs, CodeSource, Force, Json, Linear, TableFile, TrajectoryFile, load_motion, table_files
 from cep.cli.programs import ClockPpm, load_program, open_port, program_figures
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ def verify(
         Path | None,
         typer.Option("-o", "--output", help="Write the code as played; beside it its PSF, with a trajectory."),
     ] = None,
+    tables: TableFile = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -52,6 +53,7 @@ def verify(
         raise ValueError("--port PORT or --capture FILE: exactly one of them is needed")
     with_capture = {
         "--signal": signal, "--trigger": trigger, "--trajectory": trajectory, "--linear": linear, "-o": output,
+        "--table": tables,
     }  # fmt: skip
     unused = [option for option, value in with_capture.items() if value is not None] if port is not None else []
     if unused:
@@ -69,14 +71,15 @@ def verify(
 
     motion = None if trajectory is None and linear is None else load_motion(trajectory, linear).trajectory
     written = [] if output is None else playback_files(output, with_psf=motion is not None)
-    claim(written, force=force, inputs=[file for file in (code_file(code), capture, trajectory) if file])
+    read = [file for file in (code_file(code), capture, trajectory) if file]
+    claim([*written, *table_files(tables)], force=force, inputs=read)
     found = read_playback(capture, program, signal=signal, trigger=trigger)
     if output is not None:
         found.save(output, motion=motion, force=force)
     result = {
         "file": capture, "signal": found.signal, **program_figures(program, None), **found.to_dict(), "files": written,
     }  # fmt: skip
-    finish(result, as_json=as_json, show=lambda console: console.print(
+    finish(result, as_json=as_json, tables=tables, show=lambda console: console.print(
         table(f"{capture}, {found.signal}", ("play", "clock, ppm", "jitter, ns", "worst edge, ns", "same bits"), [
             (f"{index} at {play.start_ns / 1e6:.4f} ms", -play.scale_ppm, play.jitter_ns, play.worst_ns,
              "yes" if play.same_bits else "no") for index, play in enumerate(found.plays, start=1)

@@ -14,7 +14,15 @@ from cep.bench.blind.methods import OURS
 from cep.bench.blind.picture import blind_figure, shown
 from cep.bench.blind.run import Plan
 from cep.bench.blind.work import CEILINGS
-from cep.bench.table_io import FIGURE_SUFFIXES, means_in_words, tables_csv, tables_json, tables_markdown, write_figure
+from cep.bench.table_io import (
+    FIGURE_SUFFIXES,
+    means_in_words,
+    tables_csv,
+    tables_json,
+    tables_latex,
+    tables_markdown,
+    write_figure,
+)
 from cep.bench.tables import Column, Table, differences, tabulate
 from cep.io.outputs import new_folder
 from cep.jobs.cells import Figure
@@ -30,7 +38,7 @@ _RESTORED = (f"PSNR and SSIM are those of the photo's luminance restored, up to 
 def outputs(name: str) -> tuple[str, ...]:
     """Files of the table ``name``."""
     figures = (f"{name}{suffix}" for suffix in FIGURE_SUFFIXES)
-    return (f"{name}.md", f"{name}.csv", f"{name}.json", f"{name}-cells.csv", *figures)
+    return (f"{name}.md", f"{name}.tex", f"{name}.csv", f"{name}.json", f"{name}-cells.csv", *figures)
 
 
 def write_report(
@@ -46,7 +54,7 @@ def write_report(
     unmeasured: Mapping[str, str] | None = None,
     force: bool = False,
 ) -> dict[str, Path]:
-    """Write NAME.md, .csv, .json and NAME-cells.csv, and NAME.png and .pdf where methods are pictured; all or nothing.
+    """Write NAME.md, .tex, .csv, .json, NAME-cells.csv, and NAME.png and .pdf where methods are pictured; all or none.
 
     Parameters
     ----------
@@ -87,6 +95,7 @@ def write_report(
         machines = outcome.machines
         texts = {
             ".md": text,
+            ".tex": tables_latex(tables),
             ".csv": tables_csv(tables),
             ".json": tables_json(
                 tables, command=command, seed=plan.protocol.seed, machines=machines, warnings=warnings

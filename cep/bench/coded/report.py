@@ -12,7 +12,15 @@ from cep.bench.coded.picture import coded_figure
 from cep.bench.coded.protocol import CodedProtocol
 from cep.bench.coded.run import ESTIMATORS, CodedTable
 from cep.bench.coded.tables import harmed, shots_csv
-from cep.bench.table_io import FIGURE_SUFFIXES, means_in_words, tables_csv, tables_json, tables_markdown, write_figure
+from cep.bench.table_io import (
+    FIGURE_SUFFIXES,
+    means_in_words,
+    tables_csv,
+    tables_json,
+    tables_latex,
+    tables_markdown,
+    write_figure,
+)
 from cep.bench.tables import Table
 from cep.io.outputs import new_folder
 from cep.jobs.cells import Figure as Measured
@@ -22,7 +30,14 @@ if TYPE_CHECKING:
 
 __all__ = ["OUTPUTS", "write_coded_report"]
 
-OUTPUTS = ("cep.md", "cep.csv", "cep.json", "cep-photos.csv", *(f"cep{suffix}" for suffix in FIGURE_SUFFIXES))
+OUTPUTS = (
+    "cep.md",
+    "cep.tex",
+    "cep.csv",
+    "cep.json",
+    "cep-photos.csv",
+    *(f"cep{suffix}" for suffix in FIGURE_SUFFIXES),
+)
 """Files of the table."""
 
 _RESTORED_BY = {
@@ -71,6 +86,7 @@ def write_coded_report(
             text += "\n![photo, coded photo with code and PSF, restored photo, MTF](cep.png)\n"
         texts = {
             "cep.md": text,
+            "cep.tex": tables_latex(tables),
             "cep.csv": tables_csv(tables),
             "cep.json": tables_json(
                 tables, command=command, seed=measured.protocol.seed, machines=measured.machines, warnings=warnings

@@ -57,7 +57,7 @@ def test_all_tables_in_one_folder_and_found_again(cep, tables, workplace, monkey
     assert "`cep bench codes barker-13 --time 0.1`" in text
     assert "numpy" in text
     links = re.findall(r"\]\((.*?)\)", text)
-    assert len(links) == 6
+    assert len(links) == 8
     assert all(Path("out", link).is_file() for link in links)
     assert str(workplace) not in text
 

@@ -88,7 +88,7 @@ def test_a_real_estimator_from_photos_to_every_output(cep, studio):
     assert limits["true-kernel"]["psnr_db"]["mean"] > table["delta"]["psnr_db"]["mean"]
     assert (found["failures"], found["missing"]) == ({}, 0)
     assert [Path(file).name for file in found["files"]] == [
-        "blind-cells.csv", "blind.csv", "blind.json", "blind.md", "blind.pdf", "blind.png",
+        "blind-cells.csv", "blind.csv", "blind.json", "blind.md", "blind.pdf", "blind.png", "blind.tex",
     ]  # fmt: skip
     with open("out/blind-cells.csv", newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
@@ -290,7 +290,7 @@ def test_speed_leaves_no_figure_and_an_older_one_goes(cep, studio, guesses):
         Path("out", name).write_text("older")
     assert "--force" in cep.refuses(*SPEED, "--quick", "-o", "out")
     cep.succeeds(*SPEED, "--quick", "-o", "out", "--force")
-    assert {path.suffix for path in Path("out").glob("speed.*")} == {".md", ".csv", ".json"}
+    assert {path.suffix for path in Path("out").glob("speed.*")} == {".md", ".tex", ".csv", ".json"}
 
 
 def test_speed_ends_as_the_others_do(cep, studio, guesses):

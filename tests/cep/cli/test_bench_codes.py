@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 import pytest
+from cep_tables import read_tables
 
 from cep.bench.codes import code_cells, code_rows
 from cep.cli.console import FAILURE, INTERRUPTED
@@ -28,10 +29,13 @@ def test_codes_are_compared_at_equal_light_and_found_again(cep, workplace, monke
     assert rows["bdinr-8"]["min_chip"]["published"] == pytest.approx(0.9128, abs=1e-4)
     assert rows["bdinr-8"]["min_chip"]["ours"] <= 0.9128 + 1e-4
     assert not rows["bdinr-8"]["better"]
-    assert [Path(file).name for file in found["files"]] == ["codes.md", "codes.csv", "codes.json"]
+    assert [Path(file).name for file in found["files"]] == ["codes.md", "codes.tex", "codes.csv", "codes.json"]
     text = Path("codes/codes.md").read_text()
     assert text.count("| bdinr-8 |") == text.count("| barker-13 |") == 1
     assert "`cep bench codes bdinr-8 barker-13 --time 0.3`" in text
+    ((_, _, head, lines),) = read_tables(Path("codes/codes.tex").read_text())
+    assert [line[0] for line in lines] == list(rows)
+    assert {len(head)} == {len(line) for line in lines}
     kept = json.loads(Path("codes/codes.json").read_text())
     assert kept["codes"] == found["tables"]["codes"]
     assert kept["machines"][0]["versions"]["numpy"]
@@ -60,7 +64,7 @@ def test_people_see_the_comparison(cep, workplace):
     cep("bench", "codes", "bdinr-8", "--time", "0.1", "-o", "codes")
     assert cep.code == 0, cep.err
     assert "better on both: 0 of 1" in cep.out
-    assert "codes: codes.md, codes.csv, codes.json" in cep.out
+    assert "codes: codes.md, codes.tex, codes.csv, codes.json" in cep.out
 
 
 def test_interrupted_it_keeps_the_rows(monkeypatch):

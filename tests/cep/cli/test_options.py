@@ -29,6 +29,7 @@ FINE = {
     "camera list": [],
     "camera show": ["sony-imx250"],
     "camera estimate": ["sharp.png", "blurred.png"],
+    "cite": ["pmp"],
     "studio": ["--no-browser"],
     "demo": [],
     "bench": [],
