@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +20,15 @@ from motdiff.motions import with_smooth_error
 from motdiff.trajectory import Trajectory
 
 __all__ = [
-    "WORTH_DB", "collected_e", "equal_light_noise", "expected_psnr_db", "joint_psnr_db", "light_noise", "open_share",
-]  # fmt: skip
+    "WORTH_DB",
+    "ExpectedPsnr",
+    "collected_e",
+    "equal_light_noise",
+    "expected_psnr_db",
+    "joint_psnr_db",
+    "light_noise",
+    "open_share",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -64,15 +72,8 @@ def equal_light_noise(
     return noise_variance(camera, 1.0, integration_s=_integration_s(codes)) * open_share(codes, response) ** 2
 
 
-def expected_psnr_db(
-    problem: SearchProblem,
-    codes: Sequence[ShutterCode],
-    *,
-    noise: ArrayLike,
-    path_error_px: float = 0.0,
-    rng: np.random.Generator | None = None,
-) -> FloatArray:
-    """PSNR, dB, of the best linear restoration of the reference scene, (codes, L); the worse direction counts.
+class ExpectedPsnr:
+    """Expected PSNR of codes along a problem's motions; what does not depend on the code may be kept for the next.
 
     Where the path is known to ``path_error_px`` only, the filter knows the mean and the scatter of the OTF H over such
     paths, each shifted so that the code's light stays in place: a shift of the restored photo is no error. The least
@@ -83,31 +84,68 @@ def expected_psnr_db(
     ----------
     problem : SearchProblem
         Its motions, directions and shutter; its objective and camera do not matter.
-    codes : sequence of ShutterCode
-    noise : (L, R) array_like
-        Variance through each code, as :func:`light_noise` and :func:`equal_light_noise` give it, for L cases.
     path_error_px : float
         Rms over time, smooth; see :func:`motdiff.motions.with_smooth_error`.
     rng : numpy Generator, optional
         Of the paths drawn where there is such an error; of seed 0 when omitted.
+    most_bytes : int
+        The chips' OTFs are kept from the first call on, in single precision, where they take at most so much memory.
+        With an error of the path, a code is then judged some 50 times as fast.
 
     Raises
     ------
     ValueError
         If the error is negative or not finite, or the problem has no motion.
     """
-    if not (np.isfinite(path_error_px) and path_error_px >= 0):
-        raise ValueError(f"path_error_px: must be 0 px or more, got {path_error_px:g}")
-    chips = np.array([code.array for code in codes], dtype=np.float64)
-    variances = np.atleast_2d(np.asarray(noise, dtype=np.float64)).T
-    rng = np.random.default_rng(0) if rng is None else rng
 
-    def error_along(scenario: Scenario) -> FloatArray:
-        path = scenario.trajectory
-        near = [path] if path_error_px == 0 else list(_near(path, path_error_px, rng))
-        return _error(problem, scenario, near, chips, variances)
+    def __init__(
+        self,
+        problem: SearchProblem,
+        *,
+        path_error_px: float = 0.0,
+        rng: np.random.Generator | None = None,
+        most_bytes: int = 0,
+    ) -> None:
+        if not (np.isfinite(path_error_px) and path_error_px >= 0):
+            raise ValueError(f"path_error_px: must be 0 px or more, got {path_error_px:g}")
+        _check_moves(problem)
+        self.problem = problem
+        rng = np.random.default_rng(0) if rng is None else rng
+        self._ways = [
+            [_Way(problem, one, path_error_px, rng) for one in _thinned_ways(problem, scenario)]
+            for scenario in problem.scenarios
+        ]
+        if sum(way.kept_bytes for ways in self._ways for way in ways) <= most_bytes:
+            for ways in self._ways:
+                for way in ways:
+                    way.keep()
 
-    return _psnr_db(problem, error_along)
+    def psnr_db(self, codes: Sequence[ShutterCode], *, noise: ArrayLike) -> FloatArray:
+        """Return the PSNR, dB, of the best linear restoration of the reference scene, (codes, L).
+
+        The worse direction counts.
+
+        Parameters
+        ----------
+        codes : sequence of ShutterCode
+        noise : (L, R) array_like
+            Variance through each code, as :func:`light_noise` and :func:`equal_light_noise` give it, for L cases.
+        """
+        chips = np.array([code.array for code in codes], dtype=np.float64)
+        variances = np.atleast_2d(np.asarray(noise, dtype=np.float64)).T
+        return _psnr_db(self.problem, [[way.error(chips, variances) for way in ways] for ways in self._ways])
+
+
+def expected_psnr_db(
+    problem: SearchProblem,
+    codes: Sequence[ShutterCode],
+    *,
+    noise: ArrayLike,
+    path_error_px: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> FloatArray:
+    """Return the expected PSNR of codes, (codes, L), as :class:`ExpectedPsnr` does, once; it has the parameters."""
+    return ExpectedPsnr(problem, path_error_px=path_error_px, rng=rng).psnr_db(codes, noise=noise)
 
 
 def joint_psnr_db(problem: SearchProblem, codes: Sequence[ShutterCode], *, noise: ArrayLike) -> FloatArray:
@@ -133,62 +171,92 @@ def joint_psnr_db(problem: SearchProblem, codes: Sequence[ShutterCode], *, noise
     chips = np.array([code.array for code in codes], dtype=np.float64)
     variances = np.atleast_2d(np.asarray(noise, dtype=np.float64))
 
-    def error_along(scenario: Scenario) -> FloatArray:
+    def error(scenario: Scenario) -> FloatArray:
         samples = _samples(scenario.trajectory, exact=True)
-        power = np.abs(_otf(problem, scenario, samples, chips)) ** 2
+        power = np.abs(coded_sum(_rows(problem, scenario, samples), chips)) ** 2
         return np.array([wiener_mse((power / variance[:, None]).sum(axis=0), samples, 1.0) for variance in variances])
 
-    return _psnr_db(problem, error_along)
+    _check_moves(problem)
+    errors = [[error(one) for one in _thinned_ways(problem, scenario)] for scenario in problem.scenarios]
+    return _psnr_db(problem, errors)
 
 
-def _psnr_db(problem: SearchProblem, error_along: Callable[[Scenario], FloatArray]) -> FloatArray:
-    """PSNR from the mean square error along a scenario, over the problem's motions and their directions."""
+def _check_moves(problem: SearchProblem) -> None:
     if not problem.scenarios:
         raise ValueError("scenarios: need a motion to expect a restoration along")
-    errors_db = []
-    for scenario in problem.scenarios:
-        ways = [scenario.path(reversed_path=turned) for turned in problem.directions(scenario)]
-        errors = [error_along(replace(scenario, trajectory=path.thinned(_TOLERANCE_PX))) for path in ways]
-        errors_db.append(10 * np.log10(np.max(errors, axis=0)))
+
+
+def _thinned_ways(problem: SearchProblem, scenario: Scenario) -> list[Scenario]:
+    """Return the scenario in each direction that counts, its path thinned."""
+    ways = [scenario.path(reversed_path=turned) for turned in problem.directions(scenario)]
+    return [replace(scenario, trajectory=path.thinned(_TOLERANCE_PX)) for path in ways]
+
+
+def _psnr_db(problem: SearchProblem, errors: Sequence[Sequence[FloatArray]]) -> FloatArray:
+    """PSNR from the mean square errors along every motion and direction: the worse direction counts."""
+    errors_db = [10 * np.log10(np.max(along, axis=0)) for along in errors]
     if problem.rule == "mean":
         weights = np.array([scenario.weight for scenario in problem.scenarios])
         return -np.tensordot(weights / weights.sum(), np.array(errors_db), axes=1)
     return -np.asarray(np.max(errors_db, axis=0), dtype=np.float64)
 
 
-def _error(
-    problem: SearchProblem, scenario: Scenario, near: Sequence[Trajectory], chips: FloatArray, variances: FloatArray
-) -> FloatArray:
-    """Mean square error (R, L) of codes (R, n) along a path that is one of those near it, as far as is known."""
-    path = scenario.trajectory
-    samples = _samples(path, exact=len(near) == 1)
-    mean, power = np.zeros((len(chips), samples.fx.size), dtype=complex), np.zeros((len(chips), samples.fx.size))
-    for one in near:
-        otf = _otf(problem, replace(scenario, trajectory=one), samples, chips)
-        if one is not path:
-            shift = chips @ (_at_chips(one, problem.chips) - _at_chips(path, problem.chips))
-            shift /= chips.sum(axis=1, keepdims=True)
-            otf *= np.exp(2j * np.pi * (np.outer(shift[:, 0], samples.fx) + np.outer(shift[:, 1], samples.fy)))
-        mean += otf / len(near)
-        power += np.abs(otf) ** 2 / len(near)
-    unbiased = len(near) / max(len(near) - 1, 1)
-    scatter = np.maximum(power - np.abs(mean) ** 2, 0.0) * unbiased
-    inverse = inverse_scene(samples)  # 1 / S
-    errors = []
-    for variance in variances.T:
-        noise = variance[:, None]
-        error = sum(
-            samples.radius2_weight[:, q] * (scatter / inverse[:, q] + noise) / (power + noise * inverse[:, q])
-            for q in range(inverse.shape[1])
-        )
-        errors.append(error @ samples.weight)
-    return np.stack(errors, axis=1)
+class _Way:
+    """Mean square error of codes along a path that is one of those near it, as far as is known."""
+
+    def __init__(
+        self, problem: SearchProblem, scenario: Scenario, path_error_px: float, rng: np.random.Generator
+    ) -> None:
+        self._problem, self._scenario, path = problem, scenario, scenario.trajectory
+        self._near = [path] if path_error_px == 0 else list(_near(path, path_error_px, rng))
+        self._samples = _samples(path, exact=len(self._near) == 1)
+        self._kept: list[NDArray[np.complex64]] | None = None
+
+    @property
+    def kept_bytes(self) -> int:
+        """Memory of the OTFs if they are kept."""
+        states = 1 if self._problem.response is None else 4
+        return len(self._near) * self._problem.chips * states * self._samples.fx.size * np.complex64().itemsize
+
+    def keep(self) -> None:
+        """Keep the OTFs of the chips along every path."""
+        self._kept = [rows.astype(np.complex64) for rows in self._all_rows()]
+
+    def error(self, chips: FloatArray, variances: FloatArray) -> FloatArray:
+        """Mean square error (R, L) of codes (R, n)."""
+        problem, samples, path = self._problem, self._samples, self._scenario.trajectory
+        mean, power = np.zeros((len(chips), samples.fx.size), dtype=complex), np.zeros((len(chips), samples.fx.size))
+        every: Iterable[NDArray[Any]] = self._kept or self._all_rows()
+        for one, rows in zip(self._near, every, strict=True):
+            otf = coded_sum(rows, chips)
+            if one is not path:
+                shift = chips @ (_at_chips(one, problem.chips) - _at_chips(path, problem.chips))
+                shift /= chips.sum(axis=1, keepdims=True)
+                otf = otf * np.exp(2j * np.pi * (np.outer(shift[:, 0], samples.fx) + np.outer(shift[:, 1], samples.fy)))
+            mean += otf / len(self._near)
+            power += np.abs(otf) ** 2 / len(self._near)
+        unbiased = len(self._near) / max(len(self._near) - 1, 1)
+        scatter = np.maximum(power - np.abs(mean) ** 2, 0.0) * unbiased
+        inverse = inverse_scene(samples)  # 1 / S
+        errors = []
+        for variance in variances.T:
+            noise = variance[:, None]
+            error = sum(
+                samples.radius2_weight[:, q] * (scatter / inverse[:, q] + noise) / (power + noise * inverse[:, q])
+                for q in range(inverse.shape[1])
+            )
+            errors.append(error @ samples.weight)
+        return np.stack(errors, axis=1)
+
+    def _all_rows(self) -> Iterator[NDArray[np.complex128]]:
+        for one in self._near:
+            yield _rows(self._problem, replace(self._scenario, trajectory=one), self._samples)
 
 
-def _otf(problem: SearchProblem, scenario: Scenario, samples: BandSamples, chips: FloatArray) -> NDArray[np.complex128]:
-    """OTF of codes (R, n) at the samples, (R, frequencies)."""
+def _rows(problem: SearchProblem, scenario: Scenario, samples: BandSamples) -> NDArray[np.complex128]:
+    """OTFs of the chips at the samples, (n, V, frequencies)."""
     rows = scenario_rows(scenario, problem.chips, samples.fx, samples.fy, response=problem.response)
-    return coded_sum(distinct_rows(rows, problem.response), chips)
+    return distinct_rows(rows, problem.response)
 
 
 def _samples(path: Trajectory, *, exact: bool) -> BandSamples:

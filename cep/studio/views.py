@@ -44,6 +44,7 @@ class Views:
 
     def __init__(self) -> None:
         self._benches: OrderedDict[str, LiveBench] = OrderedDict()
+        self._judge: LiveBench | None = None  # of the latest verdict
         self._own: tuple[Path, LiveScene] | None = None  # scene of the latest photo
         self._keeping = threading.Lock()
 
@@ -110,7 +111,7 @@ class Views:
         if error is not None:
             raise FieldError(error["field"], error["message"])
         try:
-            judged = bench.verdict(setting.code(), path_error_px=setting.path_error_px)
+            judged = self._judging(bench).verdict(setting.code(), path_error_px=setting.path_error_px)
         except ValueError as wrong:
             raise FieldError.of(wrong, fallback="photons") from None
         best = {kind: judged.best(kind) for kind in ("open", "snapshot", "strobe")}
@@ -131,7 +132,7 @@ class Views:
         bench, _ = self._bench(setting)
         # those of another number of chips are shown without figures
         codes = {name: setting.code(bits) for name, bits in pins.items() if len(bits) == setting.chips}
-        expected = bench.psnr_db(list(codes.values()), path_error_px=setting.path_error_px)
+        expected = self._judging(bench).psnr_db(list(codes.values()), path_error_px=setting.path_error_px)
         rows = {}
         for (name, code), psnr_db in zip(codes.items(), expected, strict=True):
             seen = bench.figures(code)
@@ -176,6 +177,14 @@ class Views:
                 ),
             }
         )  # fmt: skip
+
+    def _judging(self, bench: LiveBench) -> LiveBench:
+        """Return the bench; the one that judged before frees its memory."""
+        with self._keeping:
+            before, self._judge = self._judge, bench
+        if before is not None and before is not bench:
+            before.forget_otfs()
+        return bench
 
     def _scene(self, file: Path) -> LiveScene:
         with self._keeping:

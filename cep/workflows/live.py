@@ -21,6 +21,7 @@ from cep.optics.path_limits import check_frame, check_resolved
 from cep.plots.codes import main_axis
 from cep.proofs.measure import CodeMetrics
 from cep.restoration.wiener import wiener
+from cep.search.expected import ExpectedPsnr
 from cep.search.limits import Limits, RunLimits
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import coded_sum, distinct_rows, scenario_rows
@@ -39,6 +40,7 @@ MAP_COLUMNS, MAP_ROWS = 97, 49
 
 _CURVE = 241  # frequencies along the main axis, 0..0.5 cycles/px
 _BORDER_ROUNDS = 4  # of the filter: the photo is looked at, not measured
+_MOST_BYTES = 96 * 2**20  # of the OTFs of the paths near one that is not known exactly: 70 chips in both directions
 _BUDGET = 4_000  # cells of the proof of the minimum: milliseconds
 
 
@@ -103,6 +105,7 @@ class LiveBench:
         rows = scenario_rows(scenario, problem.chips, fx, fy, response=problem.response)
         self._rows = distinct_rows(rows, problem.response).astype(np.complex64)
         self._ways: tuple[float, tuple[Way, ...]] | None = None  # of the latest error of the path
+        self._expected: tuple[float, ExpectedPsnr] | None = None  # of this error
         self._finding = threading.Lock()
 
     def figures(self, code: ShutterCode) -> LiveFigures:
@@ -145,17 +148,28 @@ class LiveBench:
                 found = WayFinder(self.problem).ordinary(self.problem.camera, every_length=path_error_px > 0)
                 self._ways = path_error_px, self._judged(found, path_error_px)
             ways = self._ways[1]
-        if not any(way.code.bits == code.bits for way in ways):
-            ways = (*ways, self._judged([code], path_error_px)[-1])
+            if not any(way.code.bits == code.bits for way in ways):
+                ways = (*ways, self._judged([code], path_error_px)[-1])
         return verdict_of(self.problem, ways, [code], path_error_px=path_error_px)
 
     def psnr_db(self, codes: Sequence[ShutterCode], *, path_error_px: float = 0.0) -> list[float]:
         """Return the expected PSNR of photos restored along a path that is known to such an error."""
-        judged = {way.code.bits: way.psnr_db for way in self._judged(codes, path_error_px)}
+        with self._finding:
+            judged = {way.code.bits: way.psnr_db for way in self._judged(codes, path_error_px)}
         return [judged[code.bits] for code in codes]
 
+    def forget_otfs(self) -> None:
+        """Free the OTFs that verdicts use, tens of MB; the next verdict computes them again."""
+        with self._finding:
+            self._expected = None
+
     def _judged(self, codes: Sequence[ShutterCode], path_error_px: float) -> tuple[Way, ...]:
-        return judged_ways(self.problem, [self.problem.camera], codes, path_error_px=path_error_px)[0]
+        if self._expected is None or self._expected[0] != path_error_px:
+            self._expected = None  # before the next one is made
+            made = ExpectedPsnr(self.problem, path_error_px=path_error_px, most_bytes=_MOST_BYTES)
+            self._expected = path_error_px, made
+        problem, expected = self.problem, self._expected[1]
+        return judged_ways(problem, [problem.camera], codes, path_error_px=path_error_px, expected=expected)[0]
 
     def psf(self, code: ShutterCode) -> FloatArray:
         """Light-true PSF of a code in the smallest odd frame that holds the motion."""

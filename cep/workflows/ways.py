@@ -13,7 +13,7 @@ from cep.optics.band import ACROSS, straight_axis
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import SearchResult, anneal
-from cep.search.expected import WORTH_DB, collected_e, equal_light_noise, expected_psnr_db, light_noise
+from cep.search.expected import WORTH_DB, ExpectedPsnr, collected_e, equal_light_noise, light_noise
 from cep.search.light import best_snapshot, best_strobe, evenly_some
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective, sample_count
@@ -256,8 +256,12 @@ def judged_ways(
     *,
     path_error_px: float,
     frames: int = 1,
+    expected: ExpectedPsnr | None = None,
 ) -> list[tuple[Way, ...]]:
-    """Judge every code, used in so many frames, at the light of every camera; the open shutter is added, and first."""
+    """Judge every code, used in so many frames, at the light of every camera; the open shutter is added, and first.
+
+    One that is ``expected`` of this problem and error already need not be made.
+    """
     every = list(
         {
             code.bits: ShutterCode(code.bits, problem.chip_ns) for code in [ShutterCode("1" * problem.chips), *codes]
@@ -268,7 +272,8 @@ def judged_ways(
         for camera in cameras
         for model in (light_noise, equal_light_noise)
     ]
-    psnr = expected_psnr_db(problem, every, noise=noise, path_error_px=path_error_px).reshape(len(every), -1, 2)
+    expected = expected or ExpectedPsnr(problem, path_error_px=path_error_px)
+    psnr = expected.psnr_db(every, noise=noise).reshape(len(every), -1, 2)
     allowed, kinds = [problem.allows(code) for code in every], [_kind(code) for code in every]
     judged = []
     for index, camera in enumerate(cameras):

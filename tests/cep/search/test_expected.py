@@ -11,9 +11,10 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
 from cep.optics.mtf import inverse_scene, noise_variance
 from cep.proofs.measure import measure, measure_worst
-from cep.search.expected import equal_light_noise, expected_psnr_db, joint_psnr_db, light_noise
+from cep.search.expected import ExpectedPsnr, equal_light_noise, expected_psnr_db, joint_psnr_db, light_noise
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
+from cep.search.scenarios import scenario_rows
 from motdiff.motions import boracchi_foi, with_smooth_error
 from motdiff.trajectory import Trajectory
 
@@ -33,6 +34,24 @@ def test_it_is_that_of_the_metrics():
     for row, code in zip(table, CODES, strict=True):
         assert -row[1] == pytest.approx(measure_worst(BENT, code, camera=CAMERA).mse_db, abs=0.1)
         assert row[1] > row[0]  # more light never hurts
+
+
+@pytest.mark.parametrize("device", [None, "flc"])
+@pytest.mark.parametrize("path_error_px", [0.0, 0.4])
+def test_otfs_are_kept_where_the_memory_allows_it(monkeypatch, path_error_px, device):
+    both = problem(replace(BENT, direction="unknown"), exposure_s=0.02, device=device)
+    noise = [light_noise(CAMERA, CODES, response=both.response)]
+    expected = expected_psnr_db(both, CODES, noise=noise, path_error_px=path_error_px)
+    kept = ExpectedPsnr(both, path_error_px=path_error_px, most_bytes=2**30)
+    fresh = ExpectedPsnr(both, path_error_px=path_error_px, most_bytes=1_000)
+    computed = []
+    monkeypatch.setattr(
+        "cep.search.expected.scenario_rows", lambda *args, **more: computed.append(1) or scenario_rows(*args, **more)
+    )
+    assert kept.psnr_db(CODES, noise=noise) == pytest.approx(expected, abs=1e-4)
+    assert not computed
+    assert np.array_equal(fresh.psnr_db(CODES, noise=noise), expected)
+    assert len(computed) == (2 if path_error_px == 0 else 64)  # both directions, and 32 paths near each
 
 
 @pytest.mark.parametrize("camera", [Camera(photons_full_scale=1_000, read_noise_e=40, bits=8), CAMERA])
