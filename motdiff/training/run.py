@@ -13,6 +13,7 @@ from types import FrameType
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from motdiff.metrics import mnc
 from motdiff.network.condition import PHOTO_PX
@@ -27,7 +28,7 @@ from motdiff.training.photos import load_photos, split_photos
 from motdiff.training.prepared import read_shards
 from motdiff.training.targets import drawn_psfs
 
-__all__ = ["Pace", "Sources", "make_sources", "train", "validation_mnc"]
+__all__ = ["Pace", "Sources", "make_sources", "train", "validation_mnc", "validation_scores"]
 
 _VALIDATION_SEED = 7
 _VALIDATION_BATCH = 32
@@ -178,9 +179,16 @@ def train(
 
 
 def validation_mnc(trainer: Trainer, batches: tuple[Batch, ...], *, steps: int = _SAMPLING_STEPS) -> float:
-    """Mean MNC (whole-pixel shifts) of one sample per photo, drawn with the averaged weights, over the batches.
+    """Mean of :func:`validation_scores`; for comparing runs, not for reports."""
+    return float(validation_scores(trainer, batches, steps=steps).mean())
 
-    The truth is the time-weighted HR map's own PSF, so this is for comparing runs, not for reports.
+
+def validation_scores(
+    trainer: Trainer, batches: tuple[Batch, ...], *, steps: int = _SAMPLING_STEPS
+) -> NDArray[np.float64]:
+    """MNC (whole-pixel shifts) of one sample per photo (N,), drawn with the averaged weights, over the batches.
+
+    The truth is the time-weighted HR map's own PSF.
     """
     network = trainer.average
     scores: list[float] = []
@@ -191,7 +199,7 @@ def validation_mnc(trainer: Trainer, batches: tuple[Batch, ...], *, steps: int =
             found = drawn.double().cpu().numpy()
             truth = psfs_of_maps(batch.dwell[:, 0]).double().cpu().numpy()
             scores += [mnc(a, b) for a, b in zip(found, truth, strict=True)]
-    return float(np.mean(scores))
+    return np.array(scores)
 
 
 def _check_channels(config: TrainingConfig, kernels: int) -> None:

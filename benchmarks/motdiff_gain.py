@@ -1,0 +1,317 @@
+"""What MoTDiff adds to ``pmp`` in ``cep calibrate``: paired MNC and processor time, by motion, noise and detail.
+
+    python benchmarks/motdiff_gain.py rows FILE --prepared CONFIG [--draws 8]       # held-out photos of a run
+    python benchmarks/motdiff_gain.py rows FILE --data DIR --protocol NAME [--gyro RECORDING]
+    python benchmarks/motdiff_gain.py table FILE...
+
+Each photo is estimated by ``pmp``, by ``motdiff``, and by two others. ``pmp+`` is the search of ``pmp`` with the
+refinement of ``motdiff``: all of it but the network. ``pmp4+`` also runs all four searches where the first two agree,
+which takes about the time of ``motdiff``. A search that several need is run once, and its time counts for each. CONFIG
+is a run's TOML file with prepared samples; there the network alone is measured too. DIR and NAME are those of ``cep
+bench blind``. One thread; a row is appended as soon as it is done, and an interrupted bench goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from cep.bench.blind.cases import make_case
+from cep.bench.blind.protocol import Protocol
+from cep.bench.blind.run import blind_plan
+from cep.bench.statistics import mean_interval
+from motdiff.crops import luminance
+from motdiff.estimators.base import Estimator, FoundKernels
+from motdiff.estimators.kernel_score import noise_sigma, rank_kernels
+from motdiff.estimators.motdiff import MotDiffEstimator
+from motdiff.estimators.motdiff.drawing import draw_psfs
+from motdiff.estimators.pmp import PmpEstimator
+from motdiff.estimators.pmp.estimator import refined
+from motdiff.evaluation.draws import measure_draws
+from motdiff.evaluation.sets import levin_photo
+from motdiff.io.gyro_tables import read_gyro
+from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
+from motdiff.network import MotDiffNetwork
+from motdiff.network.sampling import psfs_of_maps
+from motdiff.threads import one_thread, side_by_side
+from motdiff.training.config import read_config
+from motdiff.training.motion_bank import drawn_kinds
+from motdiff.training.prepared import read_shards
+from motdiff.weights import load_network
+
+FloatArray = np.ndarray
+
+METHODS = ("pmp", "pmp+", "pmp4+", "motdiff")
+_STEPS = (1, 10)
+_REFINED = 3  # as in MotDiffEstimator
+_NOISE = (0.003, 0.01)
+_LEAST_SCENES = 5  # fewer give no interval worth printing
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A photo of a known motion: its name, kind of motion and scene, and the network's conditions where prepared."""
+
+    name: str
+    kind: str
+    scene: str
+    light: FloatArray
+    psf: FloatArray
+    conditions: FloatArray | None = None
+
+
+class PmpRefined(PmpEstimator):
+    """PMP whose three likeliest different kernels are refined, and judged again with the others."""
+
+    method = "pmp+"
+
+    def search(self, crops: FloatArray) -> FoundKernels:
+        """Run the starts on the crops (C, H, W), and refine the likeliest kernels."""
+        kernels = self.searched(crops)
+        alike = mnc_matrix(kernels)
+        order = np.argsort(-rank_kernels(crops, kernels).probabilities)
+        chosen = [int(order[0])]
+        for i in order[1:]:
+            if len(chosen) < _REFINED and all(alike[i, j] < SAME_KERNEL_MNC for j in chosen):
+                chosen.append(int(i))
+        sigma = float(np.median([noise_sigma(crop) for crop in crops]))
+        sharpened = side_by_side([partial(refined, crops, kernels[i], sigma) for i in chosen])
+        for i, kernel in zip(chosen, sharpened, strict=True):
+            kernels[i] = kernel
+        probabilities = rank_kernels(crops, kernels).probabilities
+        best = max(chosen, key=lambda i: probabilities[i])
+        return FoundKernels(tuple(kernels), probabilities, best, {})
+
+    def searched(self, crops: FloatArray) -> list[FloatArray]:
+        """Kernels of the starts that ``pmp`` runs."""
+        return self.kernels(crops)
+
+
+class PmpFour(PmpRefined):
+    """The same of all four starts, whether or not the first two agree."""
+
+    method = "pmp4+"
+
+    def searched(self, crops: FloatArray) -> list[FloatArray]:
+        """Kernels of all starts."""
+        found = self.kernels(crops)
+        others = [partial(self._run, crops, start, tell=lambda _share: None) for start in self._starts[len(found) :]]
+        return [*found, *side_by_side(others)]
+
+
+class SharedSearch:
+    """PMP's search, run once for the crops of a photo whatever the number of estimators that need it.
+
+    Attributes
+    ----------
+    spared_s : float, seconds
+        Processor time that repeated searches would have taken.
+    """
+
+    def __init__(self, search: Callable[..., list[FloatArray]]) -> None:
+        self._search = search
+        self._found: dict[bytes, tuple[list[FloatArray], float]] = {}
+        self.spared_s = 0.0
+
+    def kernels(self, estimator: PmpEstimator, crops: FloatArray, **options: object) -> list[FloatArray]:
+        """Search as :meth:`motdiff.estimators.pmp.PmpEstimator.kernels`, or give what was found before."""
+        key = crops.tobytes()
+        if key in self._found:
+            self.spared_s += self._found[key][1]
+        else:
+            began_s = time.process_time()
+            found = self._search(estimator, crops, **options)
+            self._found[key] = found, time.process_time() - began_s
+        return list(self._found[key][0])
+
+    def forget(self) -> None:
+        """Forget the kernels, before another photo."""
+        self._found.clear()
+
+
+def prepared_photos(config_file: Path) -> Iterator[Photo]:
+    """Held-out samples of a run."""
+    config = read_config(config_file)
+    samples = read_shards(config.data.prepared_validation)
+    kinds = drawn_kinds(config.motions, count=len(samples), seed=config.optimiser.seed + 1)
+    truth = psfs_of_maps(samples.dwell[:, 0].float()).double().numpy()
+    for i, kind in enumerate(kinds):
+        light = samples.photos[i, 0].double().div(255).square().numpy()
+        yield Photo(f"{i:04d}", kind, f"{i:04d}", light, truth[i], samples.kernels[i].double().numpy())
+
+
+def protocol_photos(folder: Path, protocol: Protocol, recording: Path | None) -> Iterator[Photo]:
+    """Photos of a blind table, or Levin's."""
+    trace = None if recording is None else read_gyro(recording)
+    for cell in blind_plan(protocol, ["pmp"], folder=folder, trace=trace).cells:
+        method, scene, shake, _ = cell.name
+        if method != "pmp":
+            continue
+        simulated = "shot" in cell.arguments
+        if simulated:
+            case = make_case(*(cell.arguments[name] for name in ("photo", "motion", "shot")))
+        else:
+            case = levin_photo(cell.arguments["photo"])
+        kind = "real" if not simulated else "gyro" if protocol.motion.gyro else "boracchi_foi"
+        yield Photo(f"{scene}/{shake}", kind, scene, case.photo, case.psf)
+
+
+def estimators() -> dict[str, Estimator]:
+    """Make the methods."""
+    return dict(zip(METHODS, (PmpEstimator(), PmpRefined(), PmpFour(), MotDiffEstimator()), strict=True))
+
+
+def row_of(photo: Photo, methods: dict[str, Estimator], shared: SharedSearch) -> dict[str, object]:
+    """Estimate one photo by every method."""
+    grey = luminance(photo.light)
+    gradients = np.concatenate([np.diff(grey, axis=axis).ravel() for axis in (0, 1)])
+    sigma = noise_sigma(grey)
+    row: dict[str, object] = {"name": photo.name, "kind": photo.kind, "scene": photo.scene, "sigma": sigma}
+    row["detail"] = float(np.sqrt(max(np.mean(gradients**2) - 2 * sigma**2, 0.0)))
+    for name, estimator in methods.items():
+        shared.spared_s, began_s = 0.0, time.process_time()
+        found = estimator.estimate(photo.light)
+        cpu_s = time.process_time() - began_s + shared.spared_s
+        mnc = mnc_subpixel(found.psf, photo.psf)
+        row[name] = {"mnc": mnc, "confidence": found.confidence, "cpu_s": cpu_s, **_chosen(found.details)}
+    shared.forget()
+    return row
+
+
+def _chosen(details: object) -> dict[str, object]:
+    return {"chosen": details["chosen"]} if isinstance(details, dict) and "chosen" in details else {}
+
+
+def drawn(network: MotDiffNetwork, photo: Photo, count: int, number: int) -> dict[str, object]:
+    """Draws of the network alone, told of the kernels prepared with the photo."""
+    figures: dict[str, object] = {}
+    for steps in _STEPS:
+        draws = draw_psfs(
+            network,
+            luminance(photo.light)[None],
+            photo.conditions,
+            count=count,
+            steps=steps,
+            generator=torch.Generator().manual_seed(number),
+        )
+        found = measure_draws(list(draws), photo.psf)
+        mncs = [mnc_subpixel(draw, photo.psf) for draw in draws]
+        figures[f"ddim:{steps}"] = {"mnc": mncs, "best": found.best, "alike": found.alike, "covered": found.covered}
+    return figures
+
+
+def write_rows(file: Path, photos: Iterable[Photo], draws: int) -> None:
+    """Append the rows that ``file`` lacks."""
+    there = {row["name"]: row for row in read_rows([file])} if file.exists() else {}
+    shared = SharedSearch(PmpEstimator.kernels)
+    PmpEstimator.kernels = lambda *given, **options: shared.kernels(*given, **options)  # type: ignore[method-assign]
+    methods, network = estimators(), load_network()
+    with torch.no_grad(), one_thread():
+        for number, photo in enumerate(photos):
+            known = there.get(photo.name, {})
+            missing = {name: estimator for name, estimator in methods.items() if name not in known}
+            if not missing:
+                continue
+            row = row_of(photo, missing, shared)
+            if photo.conditions is not None and draws > 1 and "ddim:1" not in known:
+                row |= drawn(network, photo, draws, number)
+            with file.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(row) + "\n")
+
+
+def read_rows(files: Iterable[Path]) -> list[dict]:
+    """Rows of files; lines of one photo are one row."""
+    rows: dict[tuple[Path, str], dict] = {}
+    for file in files:
+        for line in file.read_text(encoding="utf-8").splitlines():
+            row = json.loads(line)
+            rows.setdefault((file, row["name"]), {}).update(row)
+    return list(rows.values())
+
+
+def groups(rows: list[dict]) -> Iterator[tuple[str, list[dict]]]:
+    """All rows, and those of each kind of motion, level of noise and third of detail."""
+    yield "all", rows
+    for kind in sorted({row["kind"] for row in rows}):
+        yield kind, [row for row in rows if row["kind"] == kind]
+    low, high = _NOISE
+    yield f"noise below {low}", [row for row in rows if row["sigma"] < low]
+    yield f"noise {low} to {high}", [row for row in rows if low <= row["sigma"] < high]
+    yield f"noise {high} or more", [row for row in rows if row["sigma"] >= high]
+    first, second = np.quantile([row["detail"] for row in rows], (1 / 3, 2 / 3))
+    yield f"detail below {first:.3f}", [row for row in rows if row["detail"] < first]
+    yield f"detail {first:.3f} to {second:.3f}", [row for row in rows if first <= row["detail"] < second]
+    yield f"detail {second:.3f} or more", [row for row in rows if row["detail"] >= second]
+
+
+def difference(rows: list[dict], first: str, second: str, figure: str = "mnc") -> str:
+    """Mean paired difference with its 95 % interval, photos of one scene drawn together."""
+    less = [row[first][figure] - row[second][figure] for row in rows]
+    found = mean_interval(less, rng=np.random.default_rng(0), clusters=[row["scene"] for row in rows])
+    if found.clusters < _LEAST_SCENES:
+        return f"{found.mean:+.3f}"
+    return f"{found.mean:+.3f} [{found.low:+.3f}, {found.high:+.3f}]"
+
+
+def table(rows: list[dict]) -> Iterator[str]:
+    """Lines of the tables: sub-pixel MNC by group, processor time, and draws of the network."""
+    whole = [row for row in rows if all(name in row for name in METHODS)]
+    yield f"| photos | n | {' | '.join(METHODS)} | {' | '.join(f'motdiff less {name}' for name in METHODS[:-1])} |"
+    yield f"|---|{'---:|' * (2 * len(METHODS))}"
+    for name, some in groups(whole):
+        if some:
+            means = " | ".join(f"{np.mean([row[method]['mnc'] for row in some]):.3f}" for method in METHODS)
+            less = " | ".join(difference(some, "motdiff", other) for other in METHODS[:-1])
+            yield f"| {name} | {len(some)} | {means} | {less} |"
+    means = " | ".join(f"{np.mean([row[method]['cpu_s'] for row in whole]):.2f}" for method in METHODS)
+    less = " | ".join(difference(whole, "motdiff", other, "cpu_s") for other in METHODS[:-1])
+    yield f"| CPU-s | {len(whole)} | {means} | {less} |"
+    known = [row for row in rows if "ddim:1" in row]
+    for steps in _STEPS if known else ():
+        of = [row[f"ddim:{steps}"] for row in known]
+        one, best, alike, covered = (
+            np.mean([np.mean(figures[name]) for figures in of]) for name in ("mnc", "best", "alike", "covered")
+        )
+        yield (
+            f"\nThe network alone, {steps} step{'s' * (steps > 1)}, {len(of)} photos: one draw {one:.3f}, "
+            f"best of {len(of[0]['mnc'])} {best:.3f}, two draws alike {alike:.3f}, truth among them {covered:.3f}"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["rows", "table"], nargs="?")
+    parser.add_argument("files", type=Path, nargs="*")
+    parser.add_argument("--prepared", type=Path, metavar="CONFIG")
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("--protocol", default="card-walks")
+    parser.add_argument("--gyro", type=Path)
+    parser.add_argument("--draws", type=int, default=8)
+    parser.add_argument("--count", type=int, help="the first photos alone")
+    options = parser.parse_args()
+    if options.what is None:
+        print("skipped: it needs photos, see --help")
+        return
+    if options.what == "table":
+        print("\n".join(table(read_rows(options.files))))
+        return
+    if len(options.files) != 1 or (options.prepared is None) == (options.data is None):
+        parser.error("rows: give one FILE, and either --prepared or --data")
+    if options.prepared is not None:
+        photos = prepared_photos(options.prepared)
+    else:
+        photos = protocol_photos(options.data, Protocol.load(options.protocol), options.gyro)
+    write_rows(options.files[0], islice(photos, options.count), options.draws)
+
+
+if __name__ == "__main__":
+    main()
