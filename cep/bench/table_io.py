@@ -14,7 +14,7 @@ from cep.bench.tables import Table
 from cep.io.files import json_text
 from cep.io.tables import Sheet, latex, markdown
 from cep.jobs.cache import ENGINE
-from cep.plots.canvas import png_bytes, undated
+from cep.plots.canvas import undated
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -147,19 +147,19 @@ def made_json(
     return json_text({"schema": TABLES_SCHEMA, **made, **content})
 
 
-FIGURE_SUFFIXES = (".png", ".pdf")
+FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 """What :func:`write_figure` writes."""
 
 _PRINT_DPI = 300
 
 
 def write_figure(figure: Figure, folder: Path, stem: str) -> None:
-    """Write ``STEM.png`` and ``STEM.pdf`` into a folder; the same figure gives the same bytes.
+    """Write ``STEM.png``, ``.pdf`` and ``.svg`` into a folder; the same figure gives the same bytes.
 
     Raises
     ------
     OSError
         If a file cannot be written, as on a full disk.
     """
-    (folder / f"{stem}.png").write_bytes(png_bytes(figure))
-    (folder / f"{stem}.pdf").write_bytes(undated(figure, "pdf", dpi=_PRINT_DPI))
+    for suffix in FIGURE_SUFFIXES:
+        (folder / f"{stem}{suffix}").write_bytes(undated(figure, suffix[1:], dpi=_PRINT_DPI))

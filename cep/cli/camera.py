@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.cli.console import finish, progress, table
-from cep.cli.options import Force, Json, TableFile, output_option, table_files
+from cep.cli.options import COMMON, Force, Json, TableFile, output_option, table_files
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -104,9 +104,16 @@ def estimate(
     gamma: Annotated[
         str, typer.Option("--gamma", metavar="CURVE", help="Curve of PNG and TIFF files: linear or srgb.")
     ] = "linear",
-    output: Annotated[Path, output_option("Camera to write, .toml or .json; the plot is beside it as .png.")] = Path(
-        "camera.toml"
-    ),
+    output: Annotated[Path, output_option("Camera to write, .toml or .json.")] = Path("camera.toml"),
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            "--plot",
+            metavar="FILE",
+            rich_help_panel=COMMON,
+            help="Figure to write: .png, .pdf or .svg; named as the output, .png, when omitted.",
+        ),
+    ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -121,16 +128,22 @@ def estimate(
     Example: cep camera estimate bright1.dng bright2.dng --dark dark1.dng dark2.dng
     """
     from cep.io.outputs import claim
+    from cep.plots import check_figure_name
     from cep.workflows.camera import estimate_camera
 
     if output.suffix.lower() not in (".toml", ".json"):
         raise ValueError(f"{output}: a camera file must end in .json or .toml")
-    claim([output, output.with_suffix(".png")], force=force, inputs=[*flats, *(dark or ())])
+    picture = plot or output.with_suffix(".png")
+    try:
+        check_figure_name(picture)
+    except ValueError as error:
+        raise ValueError(f"--plot: {error}") from None
+    claim([output, picture], force=force, inputs=[*flats, *(dark or ())])
     with progress("measuring") as tick:
         found = estimate_camera(
             flats, dark=dark or (), black_dn=black, bits=bits, gamma=gamma, name=output.stem, progress=tick
         )
-        file, figure = found.save(output, force=force)
+        file, figure = found.save(output, picture, force=force)
     transfer = found.transfer
     result = {
         "file": file, "image": figure, "camera": found.camera.to_dict(), **transfer.to_dict(),

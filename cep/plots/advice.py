@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cep.plots.canvas import COLOURS, LINES, new_figure
+from cep.plots.canvas import COLOURS, LINES, new_figure, plain_ticks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,6 +46,7 @@ def advice_figure(advice: Advice) -> Figure:
         xytext=(4, -12), textcoords="offset points", fontsize=9, color="dimgrey",
     )  # fmt: skip
     axes.set_xscale("log")
+    plain_ticks(axes.xaxis)
     axes.set_xlabel("light: photo-electrons at full scale of the open exposure")
     axes.set_ylabel("expected gain after restoration, dB")
     axes.set_title("shaded: a code pays" if advice.crossover else "a code pays at none of these", fontsize=10)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cep.optics.photon_transfer import PhotonTransfer
-from cep.plots.canvas import COLOURS, new_figure
+from cep.plots.canvas import COLOURS, new_figure, plain_ticks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,6 +62,8 @@ def photon_transfer_figure(found: PhotonTransfer) -> Figure:
         xlabel="mean above black, code values", ylabel="variance over time, code values²",
         title="Photon-transfer curve",
     )  # fmt: skip
+    for axis in (axes.xaxis, axes.yaxis):
+        plain_ticks(axis)
     axes.grid(color="0.92", linewidth=0.6)
     axes.legend(frameon=False, fontsize=8, loc="upper left")
     return figure

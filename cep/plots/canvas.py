@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,13 +15,18 @@ from motdiff.simulate import to_display
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 __all__ = [
     "COLOURS",
     "LINES",
+    "PRINTED_IN",
     "check_figure_name",
+    "in_lines",
+    "least_pt",
     "new_figure",
+    "plain_ticks",
     "png_bytes",
     "save",
     "show_inset",
@@ -43,6 +49,27 @@ LINES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2))
 """Line styles, so that curves stay apart without colour."""
 
 _DPI = 144
+PRINTED_IN = 7.0
+"""Width of print on a page: wider figures are shrunk to it, with their texts."""
+_LEAST_PT = 7.0
+
+
+def least_pt(width_in: float) -> float:
+    """Font size, pt, that is 7 pt in print in a figure of this width: no text is smaller."""
+    return _LEAST_PT * max(1.0, width_in / PRINTED_IN)
+
+
+def in_lines(text: str, width_in: float, size_pt: float) -> str:
+    """Break a text into lines that fit a width, at a letter's mean width of two thirds of its size."""
+    return textwrap.fill(text, max(int(width_in * 72 * 1.5 / size_pt), 8), break_long_words=False)
+
+
+def plain_ticks(axis: Axis) -> None:
+    """Write the ticks of a logarithmic axis as numbers: exponents are smaller than other texts."""
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
@@ -87,8 +114,9 @@ def save(figure: Figure, path: Path | str) -> None:
 def undated(figure: Figure, kind: str, *, dpi: int = _DPI) -> bytes:
     """Render a figure as "png", "pdf" or "svg" reproducibly: the same figure gives the same bytes.
 
-    The date is left out, and in SVG element names are fixed. It is rendered in memory, because on a full disk
-    matplotlib's PDF writer hides the error behind another one.
+    The date is left out, and in SVG element names are fixed. Text stays text: in SVG in a font of the viewer's, in PDF
+    with the font embedded. It is rendered in memory, because on a full disk matplotlib's PDF writer hides the error
+    behind another one.
     """
     from matplotlib import rc_context
 
@@ -96,7 +124,7 @@ def undated(figure: Figure, kind: str, *, dpi: int = _DPI) -> bytes:
         return png_bytes(figure, dpi=dpi)
     stream = io.BytesIO()
     dates = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
-    with rc_context({"svg.hashsalt": "coded-exposure"}):
+    with rc_context({"svg.hashsalt": "coded-exposure", "svg.fonttype": "none", "pdf.fonttype": 42}):
         figure.savefig(stream, format=kind, dpi=dpi, metadata=dates.get(kind))
     return stream.getvalue()
 

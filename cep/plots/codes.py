@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cep.io.formatting import duration
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import mtf
-from cep.plots.canvas import COLOURS, LINES, new_figure
+from cep.plots.canvas import COLOURS, LINES, least_pt, new_figure, plain_ticks
 from motdiff.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ __all__ = ["code_strips", "main_axis", "mtf_curve", "mtf_figure"]
 FloatArray = NDArray[np.float64]
 
 _FLOOR_DB = -40.0
+_STRIP_IN = 10.0
+_MAP_IN, _MAPS = 2.9, 3  # width of a map, and how many stand side by side
 
 
 def code_strips(codes: Mapping[str, ShutterCode]) -> Figure:
@@ -31,7 +33,7 @@ def code_strips(codes: Mapping[str, ShutterCode]) -> Figure:
     ----------
     codes : mapping of name to ShutterCode
     """
-    figure = new_figure(10.0, 0.55 + 0.75 * len(codes))
+    figure = new_figure(_STRIP_IN, 0.55 + 0.75 * len(codes))
     rows = np.atleast_1d(figure.subplots(len(codes), 1))
     for axes, (name, code) in zip(rows, codes.items(), strict=True):
         axes.imshow(
@@ -46,7 +48,7 @@ def code_strips(codes: Mapping[str, ShutterCode]) -> Figure:
         axes.set_ylabel(name, rotation=0, ha="right", va="center")
         axes.text(
             1.01, 0.5, f"{code.open_chips} of {code.chips} open\n{code.duty:.0%} of the light",
-            transform=axes.transAxes, va="center", fontsize=8, color="0.3",
+            transform=axes.transAxes, va="center", fontsize=least_pt(_STRIP_IN), color="0.3",
         )  # fmt: skip
     rows[-1].set_xlabel(
         f"time, chips of {duration(next(iter(codes.values())).chip_ns * 1e-9, digits=4)}; yellow = open"
@@ -91,9 +93,10 @@ def mtf_figure(trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], 
     grid : int
         Frequencies per side of a map.
     """
-    columns = max(2, len(codes))
-    figure = new_figure(max(7.5, 2.9 * columns), 7.0)
-    layout = figure.add_gridspec(2, columns, height_ratios=(1.15, 1.0))
+    columns = min(max(2, len(codes)), _MAPS)
+    rows = -(-len(codes) // columns)
+    figure = new_figure(max(7.5, _MAP_IN * columns), 3.75 + 3.25 * rows)
+    layout = figure.add_gridspec(1 + rows, columns, height_ratios=(1.15, *(1.0,) * rows))
     curves = figure.add_subplot(layout[0, :])
     axis = main_axis(trajectory)
     for index, (name, code) in enumerate(codes.items()):
@@ -107,19 +110,20 @@ def mtf_figure(trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], 
         ylabel="MTF, light-true",
         title="MTF along the main axis: a dip is detail that no restoration brings back",
     )  # fmt: skip
+    plain_ticks(curves.yaxis)
     curves.grid(color="0.9", which="both", linewidth=0.6)
     curves.legend(loc="upper right", ncols=min(3, len(codes)), framealpha=0.9)  # the lower limit cuts deep dips
 
     maps = []
     for index, (name, code) in enumerate(codes.items()):
-        axes = figure.add_subplot(layout[1, index])
+        axes = figure.add_subplot(layout[1 + index // columns, index % columns])
         level_db = 20 * np.log10(np.maximum(_mtf_map(trajectory, code, grid), 1e-6))
         drawn = axes.imshow(
             level_db, cmap="cividis", vmin=_FLOOR_DB, vmax=0, extent=(-0.5, 0.5, 0.5, -0.5), interpolation="nearest"
         )
         axes.set(title=name, xlabel="x, cycles/px", xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5))
-        axes.tick_params(labelleft=index == 0)
-        if index == 0:
+        axes.tick_params(labelleft=index % columns == 0)
+        if index % columns == 0:
             axes.set_ylabel("y, cycles/px")
         maps.append(axes)
     figure.colorbar(drawn, ax=maps, label="MTF, dB", shrink=0.9, pad=0.02, extend="min")

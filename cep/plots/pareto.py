@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.optics.mtf import HOPELESS_DB
-from cep.plots.canvas import COLOURS, new_figure
+from cep.plots.canvas import COLOURS, least_pt, new_figure
 from cep.search.fronts.front import Front, FrontPoint, knees
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ __all__ = ["pareto_figure"]
 FloatArray = NDArray[np.float64]
 
 _COLOUR_MAP = "viridis"
+_WIDTH_IN = 9.5
 _WIDEST_DB = 14.0  # beyond the least noise: farther codes are named in a corner
 _REACH_PT = (9.0, 16.0, 26.0, 40.0, 58.0, 80.0, 110.0, 150.0)  # between a point and its label
 _AROUND = 24  # directions tried for a label
@@ -53,7 +54,7 @@ def pareto_figure(front: Front, published: Mapping[str, FrontPoint] | None = Non
     """
     if not front.points:
         raise ValueError("front: has no points to draw")
-    figure = new_figure(9.5, 6.4)
+    figure = new_figure(_WIDTH_IN, 6.4)
     axes = figure.subplots()
     counts = {p.open_chips for p in front.points}
     beaten = [
@@ -88,13 +89,22 @@ def pareto_figure(front: Front, published: Mapping[str, FrontPoint] | None = Non
     axes.grid(color="0.92", linewidth=0.6)
     axes.margins(0.09, 0.09)
     figure.colorbar(bar, ax=axes, label=colours.label, pad=0.02)
-    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=least_pt(_WIDTH_IN))
     hidden = [f"{name} ({_db(p)})" for name, p in others.items() if name not in shown]
     hidden += [f"{len(front.points) - len(drawn)} codes of the front"] if len(drawn) < len(front.points) else []
     axes.set_title(title or _title(front), pad=18 if hidden else None)
     if hidden:
         text = f"noisier than shown: {', '.join(hidden)}"
-        axes.text(1.0, 1.005, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=8, color="0.35")
+        axes.text(
+            1.0,
+            1.005,
+            text,
+            transform=axes.transAxes,
+            ha="right",
+            va="bottom",
+            fontsize=least_pt(_WIDTH_IN),
+            color="0.35",
+        )
     named = [(_names(point, front), point, "0.1") for point in dict.fromkeys(knees(front).values()) if point in drawn]
     _label(figure, axes, front, [*named, *((name, point, COLOURS[1]) for name, point in shown.items())], beaten)
     return figure
@@ -177,7 +187,7 @@ def _label(
     for text, point, colour in labels:
         (x,), (y,) = _place(front, [point])
         note = axes.annotate(
-            text, (x, y), (0, 0), textcoords="offset points", fontsize=8, color=colour, zorder=6,
+            text, (x, y), (0, 0), textcoords="offset points", fontsize=least_pt(_WIDTH_IN), color=colour, zorder=6,
             ha="center", va="center", arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6},
         )  # fmt: skip
         size = note.get_window_extent()

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.io.images import RAW_SUFFIXES, read_mosaic, read_photo
-from cep.io.outputs import new_folder
+from cep.io.outputs import claim, new_files
 from cep.optics.camera import Camera
 from cep.optics.photon_transfer import CodeRange, FramePair, PhotonTransfer, find_code_range, photon_transfer
 from cep.plots.camera import photon_transfer_figure
-from cep.plots.canvas import save
+from cep.plots.canvas import check_figure_name, save
 from motdiff.simulate import to_linear
 
 __all__ = ["CameraEstimate", "estimate_camera"]
@@ -37,12 +37,14 @@ class CameraEstimate:
     camera: Camera
     transfer: PhotonTransfer
 
-    def save(self, path: Path, *, force: bool = False) -> tuple[Path, Path]:
-        """Write the camera's file and beside it the curve as a figure; returns both paths."""
-        figure = path.with_suffix(".png")
-        with new_folder(path.parent, [path.name, figure.name], force=force) as made:
-            self.camera.to_file(made / path.name)
-            save(photon_transfer_figure(self.transfer), made / figure.name)
+    def save(self, path: Path, figure: Path | None = None, *, force: bool = False) -> tuple[Path, Path]:
+        """Write the camera's file and the curve as a figure, beside it as .png when omitted; returns both paths."""
+        figure = path.with_suffix(".png") if figure is None else figure
+        check_figure_name(figure)
+        claim([path, figure], force=force)
+        with new_files([path, figure]) as made:
+            self.camera.to_file(made[path])
+            save(photon_transfer_figure(self.transfer), made[figure])
         return path, figure
 
 

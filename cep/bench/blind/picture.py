@@ -13,7 +13,7 @@ from cep.bench.blind.cases import RealPhoto, make_case, real_pair
 from cep.bench.blind.work import measure_levin, measure_simulated
 from cep.bench.psf_text import psf_from_text
 from cep.jobs.cells import Cell, Result
-from cep.plots.canvas import new_figure, show_inset, show_photo
+from cep.plots.canvas import PRINTED_IN, in_lines, least_pt, new_figure, show_inset, show_photo
 from motdiff.crops import luminance
 from motdiff.evaluation.measure import restored
 from motdiff.evaluation.sets import levin_photo
@@ -30,7 +30,7 @@ __all__ = ["Shown", "blind_figure", "shown"]
 
 FloatArray = NDArray[np.float64]
 
-_TILE_IN = 1.7
+_TILE_IN = (0.9, 1.7)  # between these all columns are as wide as a page
 _INSET = 0.34
 
 
@@ -103,10 +103,13 @@ def blind_figure(lines: Sequence[Shown], methods: Sequence[str]) -> Figure:
         The columns after photo and blurred photo; one without a kernel stays empty.
     """
     columns = ("photo", "blurred", *methods)
-    figure = new_figure(_TILE_IN * len(columns), (_TILE_IN + 0.25) * len(lines) + 0.25)
+    tile_in = float(np.clip(PRINTED_IN / len(columns), *_TILE_IN))
+    width_in = tile_in * len(columns)
+    figure = new_figure(width_in, (tile_in + 0.3) * len(lines) + 0.25)
+    size_pt = least_pt(width_in)
     grid = figure.subplots(len(lines), len(columns), squeeze=False)
     for axes, name in zip(grid[0], columns, strict=True):
-        axes.set_title(name, fontsize=9)
+        axes.set_title(in_lines(name, tile_in, size_pt), fontsize=size_pt)
     for row, line in zip(grid, lines, strict=True):
         for axes in row:
             axes.set_axis_off()
@@ -125,7 +128,7 @@ def blind_figure(lines: Sequence[Shown], methods: Sequence[str]) -> Figure:
                 with one_thread():
                     show_photo(axes, _light(restored(luminance(line.blurred), psf), line.gamma))
                 axes.set_axis_on()
-                axes.set_xlabel(line.scores[method], fontsize=8)
+                axes.set_xlabel(in_lines(line.scores[method], tile_in, size_pt), fontsize=size_pt)
                 _inset(axes, psf)
     return figure
 

@@ -54,7 +54,7 @@ def write_report(
     unmeasured: Mapping[str, str] | None = None,
     force: bool = False,
 ) -> dict[str, Path]:
-    """Write NAME.md, .tex, .csv, .json, NAME-cells.csv, and NAME.png and .pdf where methods are pictured; all or none.
+    """Write NAME.md .tex .csv .json, NAME-cells.csv, and NAME.png .pdf .svg where methods are pictured; all or none.
 
     Parameters
     ----------

@@ -23,6 +23,6 @@ def test_the_same_figure_gives_the_same_files_at_any_time(tmp_path, monkeypatch)
         first, second = ((tmp_path / name / f"f{suffix}").read_bytes() for name in ("first", "second"))
         assert first == second
     assert b"CreationDate" not in (tmp_path / "first/f.pdf").read_bytes()
-    assert {path.name for path in (tmp_path / "first").iterdir()} == {"f.png", "f.pdf"}
+    assert {path.name for path in (tmp_path / "first").iterdir()} == {"f.png", "f.pdf", "f.svg"}
     write_figure(drawn(0.6), tmp_path / "second", "f")
     assert (tmp_path / "first/f.pdf").read_bytes() != (tmp_path / "second/f.pdf").read_bytes()

@@ -88,7 +88,7 @@ def test_a_real_estimator_from_photos_to_every_output(cep, studio):
     assert limits["true-kernel"]["psnr_db"]["mean"] > table["delta"]["psnr_db"]["mean"]
     assert (found["failures"], found["missing"]) == ({}, 0)
     assert [Path(file).name for file in found["files"]] == [
-        "blind-cells.csv", "blind.csv", "blind.json", "blind.md", "blind.pdf", "blind.png", "blind.tex",
+        "blind-cells.csv", "blind.csv", "blind.json", "blind.md", "blind.pdf", "blind.png", "blind.svg", "blind.tex",
     ]  # fmt: skip
     with open("out/blind-cells.csv", newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))

@@ -78,7 +78,7 @@ def test_from_photos_to_every_output_and_found_again(cep, studio, monkeypatch):
         "tiny", ["open", "dnf", "oracle"], {}, 0,
     )  # fmt: skip
     assert found["warnings"] == ["2 photos are large enough, the protocol asks for 3"]
-    names = ["cep-photos.csv", "cep.csv", "cep.json", "cep.md", "cep.pdf", "cep.png", "cep.tex"]
+    names = ["cep-photos.csv", "cep.csv", "cep.json", "cep.md", "cep.pdf", "cep.png", "cep.svg", "cep.tex"]
     assert [Path(file).name for file in found["files"]] == names
     with open("out/cep-photos.csv", newline="", encoding="utf-8") as stream:
         shots = list(csv.DictReader(stream))

@@ -150,3 +150,12 @@ def test_outputs_are_not_replaced_unasked(cep, frames):
     assert "camera.png: exists already" in cep.refuses("camera", "estimate", *frames, *DARK)
     assert not Path("camera.toml").exists()
     assert Path("camera.png").read_bytes() == b"mine"
+
+
+def test_the_curve_goes_where_it_is_wanted(cep, frames):
+    found = cep.succeeds("camera", "estimate", *frames, *DARK, "-o", "mine.toml", "--plot", "curve.svg")
+    assert found["image"] == "curve.svg"
+    assert "<text" in Path("curve.svg").read_text(encoding="utf-8")
+    assert not Path("mine.png").exists()
+    line = cep.refuses("camera", "estimate", *frames, *DARK, "-o", "other.toml", "--plot", "curve.gif")
+    assert line == "cep: --plot: curve.gif: figures are written as .png, .pdf or .svg\n"
