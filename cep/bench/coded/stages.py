@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -86,8 +87,8 @@ def take_photo(
         scene, motion, assumed, kernel=kernel, bits=bits, borders=borders, light_true=light_true,
         restoration=restoration, border_rounds=border_rounds, camera=camera, seed=seed,
     )  # fmt: skip
-    truth, code = paths_from(motion)[0][0], ShutterCode(bits)
-    along, against = (measure(path, code, budget=0) for path in (truth, truth.reversed()))
+    along, against = _both_ways(motion, bits)
+    code = ShutterCode(bits)
     lent_db = 0.0 if light_true else 20 * math.log10(code.duty)
     psnr_db, ssim = psnr_ssim_up_to_shift(taken.restored, taken.target, crop_px=_CROP_PX)
     return {
@@ -97,6 +98,13 @@ def take_photo(
         "reversed_noise_gain_db": _gain_db(against) + lent_db,
         "min_mtf": along.min_mtf,
     }
+
+
+@lru_cache(maxsize=4096)  # every photo is taken with the same motions, and most codes do not depend on the photo
+def _both_ways(motion: str, bits: str) -> tuple[CodeMetrics, CodeMetrics]:
+    """Measure a code along a motion and against it."""
+    path, code = paths_from(motion)[0][0], ShutterCode(bits)
+    return measure(path, code, budget=0), measure(path.reversed(), code, budget=0)
 
 
 def _gain_db(metrics: CodeMetrics) -> float:
