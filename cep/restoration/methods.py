@@ -125,7 +125,8 @@ def restore(
         Of the exposure, without a PSF; the open shutter when omitted.
     method : str or callable
         "wiener", "inverse", "tv", "l0", "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser); or a
-        function of your own, or its ``module:name``, that takes (photo, psf) and returns the restored photo.
+        function of your own, or its ``module:name``, that takes (photo, psf) and returns the restored photo,
+        or a Restoration.
     progress : callable, optional
         Called with the finished share 0..1 and what is being done.
     **options
@@ -190,7 +191,13 @@ def restore(
         notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: {meaning}")
     if 4 * reach > min(channels.shape[1:]):
         notes.append(f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x {channels.shape[1]} px")
-    image = np.asarray(apply(fill_clipped(photo, psf) if fills else photo, psf, **options), dtype=np.float64)
+    restored = apply(fill_clipped(photo, psf) if fills else photo, psf, **options)
+    if isinstance(restored, Restoration):  # of a function that calls this one
+        restored = restored.image
+    try:
+        image = np.asarray(restored, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"method: {named} returned a {type(restored).__name__}, wanted the restored photo") from None
     if image.shape != np.shape(photo):
         raise ValueError(f"method: {named} returned an image of shape {image.shape}, wanted {np.shape(photo)}")
     progress(1.0, "restoring")

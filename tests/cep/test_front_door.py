@@ -126,6 +126,10 @@ def test_a_restoration_of_ones_own(plugin):
     assert by_object.method == "as_it_is"
     with pytest.raises(ValueError, match=r"method: .*cut returned an image of shape"):
         package.restore(photo, trajectory=path, method=f"{plugin}:cut")
+    ours = package.restore(photo, trajectory=path, method=lambda photo, psf: package.restore(photo, psf))
+    np.testing.assert_array_equal(ours.image, package.restore(photo, trajectory=path).image)
+    with pytest.raises(ValueError, match=r"method: .* returned a dict, wanted the restored photo"):
+        package.restore(photo, trajectory=path, method=lambda _photo, _psf: {})
     with pytest.raises(ValueError, match="is no function"):
         package.restore(photo, trajectory=path, method=f"{plugin}:number")
 
