@@ -31,6 +31,9 @@ NOT_RUN = {
     "cep calibration-set": "14 CPU-s; tests/cep/cli/test_calibration_set.py",
     "cep calibrate p1.png": "a minute; as above",
     "cep calibrate run1.png": "9 CPU-s; tests/cep/cli/test_calibrate_together.py",
+    "cep optimize --trajectory motion/trajectory.json --device": "40 CPU-s; tests/cep/cli/test_optimize.py",
+    "cep optimize --linear 52 --frames": "a minute; tests/cep/workflows/test_frames.py",
+    "cep pareto": "a minute; tests/cep/cli/test_pareto.py",
     "cep optimize --linear 44": "a minute; tests/cep/workflows/test_prove.py",
     "python -m motdiff prepare": "an hour; tests/motdiff/test_commands.py prepares, trains and exports a small one",
     "python -m motdiff train": "half an hour to days; as above",
@@ -42,7 +45,7 @@ RUN_ALTHOUGH = ("cep hw verify", "cep studio studio.json")
 """Commands that begin like those and need neither a board nor a page."""
 
 CODE = "1011011101011110110101110011"
-PATH = cep.Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])
+PATH = cep.Trajectory.from_samples([[0, 0], [9, 3], [14, 12]], direction="known")
 MODULE = """
 import cep
 
