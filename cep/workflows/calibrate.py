@@ -21,6 +21,7 @@ from cep.workflows.sharpen import sharpen
 from motdiff.crops import LEAST_PX, check_size
 from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
 from motdiff.estimators.coded.codes import check_codes
+from motdiff.estimators.from_kernel import as_estimate
 from motdiff.gyro import GyroTrace
 from motdiff.io.plugins import is_reference
 from motdiff.io.trajectories import StoredMotion, write_motion
@@ -297,7 +298,8 @@ def estimate_motion(
         estimator = method
     pixels = [_as_light(one) for one in photos]
     if len(pixels) == 1:
-        return _calibration(estimator.estimate(pixels[0]), pixels[0])
+        name = method if isinstance(method, str) else type(method).__name__
+        return _calibration(as_estimate(estimator.estimate(pixels[0]), name), pixels[0])
     if not hasattr(estimator, "estimate_from"):
         raise ValueError(f"method: {method} takes one photo, for it has no method estimate_from(photos)")
     found: MotionEstimate = estimator.estimate_from(pixels)

@@ -24,9 +24,9 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from motdiff.baselines.estimate_from_kernel import estimate_from_kernel
 from motdiff.crops import luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.from_kernel import estimate_from_kernel
 from motdiff.training.simulation import blurred
 
 __all__ = ["BlindDpsEstimator", "Prior", "linear_alpha_bar", "sample_jointly"]

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from motdiff.baselines.estimate_from_kernel import estimate_from_kernel
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.conditioning import conditioning_maps
+from motdiff.estimators.from_kernel import estimate_from_kernel
 
 __all__ = ["PsfDiffusionEstimator"]
 

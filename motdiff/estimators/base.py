@@ -102,7 +102,7 @@ class FoundKernels:
 
 @runtime_checkable
 class Estimator(Protocol):
-    """Anything that turns a blurred photo into a motion estimate."""
+    """Anything that turns a blurred photo into a motion estimate; one of the user's own may return a PSF instead."""
 
     def estimate(self, photo: NDArray[np.float64]) -> MotionEstimate:
         """Estimate the motion from ``photo``, (H, W) or (H, W, 3) float, linear light 0..1."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.estimators.from_kernel import as_estimate
 from motdiff.evaluation.draws import measure_draws
 from motdiff.evaluation.sets import Case
 from motdiff.metrics import (
@@ -118,8 +119,10 @@ def measure_estimator(case: Case, estimator: Estimator, *, restore: bool = True)
         If the estimator finds no motion, or none that can be measured.
     """
     began_s = time.process_time()
-    estimate = estimator.estimate(case.photo)
-    cpu_s = time.process_time() - began_s + _earlier_cpu_s(estimate)
+    found = estimator.estimate(case.photo)
+    cpu_s = time.process_time() - began_s
+    estimate = as_estimate(found, type(estimator).__name__)
+    cpu_s += _earlier_cpu_s(estimate)
     kernel = measure_psf(case, estimate.psf, restore=restore)
     path_mnc, path_px = _path_figures(case, estimate)
     whole = replace(kernel, path_mnc=path_mnc, path_px=path_px, confidence=estimate.confidence, cpu_s=cpu_s)

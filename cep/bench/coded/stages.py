@@ -231,6 +231,7 @@ def estimate_motion(
     -------
     dict with ``paths``, ``mnc`` (sub-pixel, of the path's own PSF), ``cpu_s``
     """
+    from motdiff.estimators.from_kernel import as_estimate
     from motdiff.evaluation.methods import named_estimators
 
     truth = paths_from(motion)[0][0]
@@ -238,8 +239,9 @@ def estimate_motion(
     photo = capture(scene, truth.psf(PSF_PX), camera=Camera.from_dict(camera), rng=rng, borders=borders)
     estimator = named_estimators([method])[method]
     started = time.process_time()
-    estimate = estimator.estimate(np.clip(photo, 0, 1))
+    result = estimator.estimate(np.clip(photo, 0, 1))
     seconds = time.process_time() - started
+    estimate = as_estimate(result, method)
     found = estimate.trajectories[0]
     return {
         "paths": paths_to(estimate.trajectories, estimate.weights),

@@ -12,11 +12,11 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from motdiff.baselines.estimate_from_kernel import estimate_from_kernel
 from motdiff.baselines.selfdeblur.config import SelfDeblurConfig
 from motdiff.baselines.selfdeblur.fit import JointFit
 from motdiff.crops import best_crops, textured_luminance
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.from_kernel import estimate_from_kernel
 
 __all__ = ["SelfDeblurEstimator"]
 

@@ -5,10 +5,10 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity as reference_similarity
 
-from motdiff.baselines.estimate_from_kernel import estimate_from_kernel
 from motdiff.baselines.selfdeblur import SelfDeblurConfig
 from motdiff.baselines.selfdeblur.fit import structural_similarity
 from motdiff.baselines.selfdeblur.generators import ImageGenerator, KernelGenerator, _NonLocal
+from motdiff.estimators.from_kernel import estimate_from_kernel
 from motdiff.metrics import mnc
 from motdiff.simulate import blur_valid
 from motdiff.training.simulation import blurred
