@@ -1,5 +1,8 @@
 """The built-in devices: each loads, plays what it should and names everything it cannot."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from hw.device import load_profile, profile_names
@@ -66,3 +69,11 @@ def test_a_pregius_sensor_needs_gaps_and_not_only_exposures():
         "sony-pregius: shortest gap between openings is 50 us; the dead time is 150 us",
     )
     assert pregius.check(Program("1110001", 50 * US)) == ()
+
+
+def test_the_document_names_every_profile():
+    page = (Path(__file__).resolve().parents[2] / "docs" / "hardware.md").read_text(encoding="utf-8")
+    table = page.partition("## Names of devices")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
+    named = [name for row in rows for name in re.findall(r"`([\w-]+)`", row)]
+    assert sorted(named) == sorted(profile_names())
