@@ -13,7 +13,15 @@ author = "the authors of coded-exposure"
 copyright = "the authors of coded-exposure"
 release = metadata.version("coded-exposure")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "command_pages", "outside_links"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "mathml",
+    "command_pages",
+    "schema_tables",
+    "outside_links",
+]
 exclude_patterns = ["_build", "_extensions"]
 nitpicky = False  # numpydoc's types are English
 language = "en"

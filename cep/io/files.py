@@ -22,6 +22,7 @@ from motdiff.crops import luminance
 from motdiff.io import inputs
 from motdiff.io.inputs import one_line, regular_file
 from motdiff.io.mat_files import levin_psf, read_mat
+from motdiff.io.schemas import fault, load_schema
 
 __all__ = [
     "CODE_SCHEMA",
@@ -94,32 +95,38 @@ def read_code(path: Path | str) -> StoredCode:
     OSError
         If the file cannot be read.
     """
-    document = read_json(path, schema=CODE_SCHEMA)
-    for name in ("bits", "chip_ns"):
-        if name not in document:
-            raise ValueError(f'{path}: field "{name}" is missing')
-    parts = [document.get(name) or {} for name in ("metrics", "problem", "certificate")]
-    if not all(isinstance(part, dict) for part in parts):
-        raise ValueError(f"{path}: metrics, problem and certificate must be objects")
-    if not isinstance(document["bits"], str):
-        raise ValueError(f"{path}: bits must be a string of 0 and 1, found {type(document['bits']).__name__}")
+    document = _versioned(path, CODE_SCHEMA)
+    bits: Any = document.get("bits")
+    chip_ns: Any = document.get("chip_ns")
+    if isinstance(chip_ns, float) and chip_ns.is_integer():
+        chip_ns = int(chip_ns)  # as some programs write whole numbers
     try:
-        code = ShutterCode(document["bits"], document["chip_ns"])
-    except (TypeError, ValueError) as error:
+        code = ShutterCode(bits, chip_ns) if isinstance(bits, str) and "chip_ns" in document else None
+    except (TypeError, ValueError) as error:  # says which chip is wrong, as a schema cannot
         raise ValueError(f"{path}: {one_line(error)}") from None
-    return StoredCode(code, *parts)
+    if (wrong := fault(document, load_schema("cep.io", "code"))) is not None or code is None:
+        raise ValueError(f"{path}: {wrong}")
+    return StoredCode(code, *(document.get(name) or {} for name in ("metrics", "problem", "certificate")))
 
 
 def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:
-    """Read a JSON object and check its ``schema``.
+    """Read a JSON object, and check its ``schema`` and that it is as ``cep/io/schemas`` has it.
 
     Raises
     ------
     ValueError
-        If the file is not JSON or has another schema.
+        If the file is not JSON, has another schema, or a field of it is wrong.
     OSError
         If the file cannot be read.
     """
+    document = _versioned(path, schema)
+    name = schema.removeprefix("cep.").partition("/")[0]
+    if (wrong := fault(document, load_schema("cep.io", name))) is not None:
+        raise ValueError(f"{path}: {wrong}")
+    return document
+
+
+def _versioned(path: Path | str, schema: str) -> dict[str, Any]:
     document = inputs.read_json(path)
     found = document.get("schema") if isinstance(document, dict) else type(document).__name__
     if not isinstance(document, dict) or found != schema:

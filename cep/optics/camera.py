@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cep.io.outputs import write_text
 from motdiff.io.inputs import one_line, read_json, read_toml
+from motdiff.io.schemas import fault, load_schema
 from motdiff.simulate import add_noise, to_display, to_linear
 
 __all__ = ["LIGHT_LEVELS", "SCHEMA", "Camera", "camera_names"]
@@ -267,12 +268,13 @@ class Camera:
         ValueError
             If the schema or a field is not known, or a value is out of range.
         """
-        known = {field.name for field in fields(cls)}
         values = {key: value for key, value in document.items() if key != "schema"}
         if (found := document.get("schema", SCHEMA)) != SCHEMA:
             raise ValueError(f'wanted schema "{SCHEMA}", found {found!r}')
-        if unknown := sorted(set(values) - known):
-            raise ValueError(f"unknown field {unknown[0]!r}; a camera has {', '.join(sorted(known))}")
+        if (wrong := fault(dict(document), load_schema("cep.io", "camera"))) is not None:
+            raise ValueError(wrong)
+        if isinstance(bits := values.get("bits"), float):
+            values["bits"] = int(bits)  # as some programs write whole numbers
         return cls(**values)
 
     @classmethod

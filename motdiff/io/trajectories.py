@@ -12,6 +12,7 @@ import numpy as np
 
 from motdiff.io.inputs import one_line, read_json
 from motdiff.io.outputs import write_text
+from motdiff.io.schemas import fault, load_schema
 from motdiff.trajectory import Direction, Trajectory
 
 __all__ = ["SCHEMA", "StoredMotion", "read_motion", "stated_uncertainty_px", "write_motion"]
@@ -81,19 +82,18 @@ def read_motion(path: Path | str) -> StoredMotion:
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         found = document.get("schema") if isinstance(document, dict) else type(document).__name__
         raise ValueError(f'{path}: wanted schema "{SCHEMA}", found {one_line(repr(found))}')
-    if document.get("units", "px") != "px":
-        raise ValueError(f'{path}: wanted units "px", found {one_line(repr(document["units"]))}')
+    if (wrong := fault(document, load_schema("motdiff.io", "trajectory"))) is not None:
+        raise ValueError(f"{path}: {wrong}")
     direction = cast(Direction, document.get("direction", "unknown"))
     try:
+        alternatives = tuple(
+            (float(other.get("weight", 1.0)), _trajectory(other, direction))
+            for other in document.get("alternatives", [])
+        )
         main = _trajectory(document, direction)
-        others, source = document.get("alternatives", []), document.get("source", {})
-        if not isinstance(others, list) or not isinstance(source, dict):
-            raise ValueError("alternatives must be a list and source an object")
-        alternatives = tuple((_weight(other), _trajectory(other, direction)) for other in others)
-        return StoredMotion(main, _weight(document), alternatives, source)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        reason = f"field {error} is missing" if isinstance(error, KeyError) else str(error)
-        raise ValueError(f"{path}: {one_line(reason)}") from None
+        return StoredMotion(main, float(document.get("weight", 1.0)), alternatives, document.get("source", {}))
+    except ValueError as error:
+        raise ValueError(f"{path}: {one_line(error)}") from None
 
 
 def stated_uncertainty_px(motion: StoredMotion, path: Path | str) -> float | None:
@@ -124,30 +124,11 @@ def _samples(trajectory: Trajectory) -> dict[str, list[float]]:
 
 
 def _trajectory(fields: Mapping[str, Any], direction: Direction) -> Trajectory:
-    if not isinstance(fields, Mapping):
-        raise ValueError(f"each alternative must be an object with weight, t, x and y, got {type(fields).__name__}")
     columns: list[Sequence[float]] = [fields["t"], fields["x"], fields["y"]]
-    for name, column in zip("txy", columns, strict=True):
-        if not isinstance(column, list) or not set(map(type, column)) <= {int, float}:
-            raise ValueError(f"{name} must be a list of numbers")
     if len({len(column) for column in columns}) != 1:
         raise ValueError(f"t, x and y must be equally long, got {[len(column) for column in columns]}")
     t, x, y = (np.array(column, dtype=np.float64) for column in columns)
-    reach = np.abs(np.concatenate([x, y]))
-    if (np.isfinite(reach) & (reach > _FARTHEST_PX)).any():
-        raise ValueError(f"x and y must lie within {_FARTHEST_PX:g} px, got {reach.max():.3g}")
     exact = Trajectory.from_samples(np.column_stack([x, y]), t=t, direction=direction)
     if t[0] != 0 or t[-1] != 1:
         raise ValueError(f"t must run from 0 to 1, got {t[0]:g} to {t[-1]:g}")
     return exact if len(t) <= _DENSE else exact.thinned(_THINNED_PX)
-
-
-def _weight(fields: Mapping[str, Any]) -> float:
-    weight = fields.get("weight", 1.0) if isinstance(fields, Mapping) else 1.0
-    if not _is_number(weight) or not 0 <= weight <= 1:
-        raise ValueError(f"weight must be a number within 0..1, got {weight!r}")
-    return float(weight)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

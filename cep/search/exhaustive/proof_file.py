@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cep.search.exhaustive.block_proof import VERSION, BlockPlan
+from motdiff.io.schemas import fault, load_schema
 
 __all__ = ["FILE_NAME", "SCHEMA", "ProofFile"]
 
@@ -80,15 +81,14 @@ class ProofFile:
 
     def _take(self, record: Mapping[str, Any]) -> None:
         """Add a record that is on disk, or will be."""
+        if (wrong := fault(dict(record), load_schema("cep.io", "proof")["$defs"]["record"])) is not None:
+            raise ValueError(wrong)
         index = self._number.get(record.get("first", -1), -1)
         if index < 0 or record.get("until") != self.plan.blocks[index].until:
             raise ValueError(f"there is no block of prefixes {record.get('first')} to {record.get('until')}")
         if index in self.records:
             raise ValueError(f"the block of prefixes {record['first']} to {record['until']} comes twice")
         block = self.plan.blocks[index]
-        kinds = {"bound": int | float, "seconds": int | float, "survivors": str, "minima": str}
-        if bad := next((name for name, kind in kinds.items() if not isinstance(record.get(name), kind)), None):
-            raise ValueError(f"{bad} is missing, or of another type")
         if record.get("codes") != block.codes:
             raise ValueError(f"the block does not add up: {record.get('codes')} codes instead of {block.codes}")
         if len(record["survivors"].split()) != len(record["minima"].split()):

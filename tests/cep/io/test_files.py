@@ -41,7 +41,7 @@ def test_a_code_survives_its_file(tmp_path_factory, bits, chip_ns):
         ({"chip_ns": 10**400}, "chip_ns"),
         ({"chip_ns": True}, "chip_ns"),
         ({"chip_ns": ...}, '"chip_ns" is missing'),
-        ({"metrics": [1]}, "must be objects"),
+        ({"metrics": [1]}, "metrics: must be an object or null"),
     ],
 )
 def test_a_wrong_code_file_is_refused_in_one_line(tmp_path, change, message):

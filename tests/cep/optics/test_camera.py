@@ -121,7 +121,7 @@ def test_a_byte_order_mark_as_windows_editors_write_is_no_harm(tmp_path, name, t
         ("c.json", json.dumps({"iso": 100}), "unknown field 'iso'"),
         ("c.json", json.dumps({"bits": 8.5}), "bits: must be a whole number"),
         ("c.json", json.dumps({"photons_full_scale": "many"}), "photons_full_scale: must be a number"),
-        ("c.json", '{"read_noise_e": NaN}', "read_noise_e: must be 0 or more"),
+        ("c.json", '{"read_noise_e": NaN}', "read_noise_e: must be a finite number of 0 or more"),
         ("c.json", f'{{"read_noise_e": {"9" * 5000}}}', "not a JSON file"),
         ("c.json", f'{{"read_noise_e": {"9" * 400}}}', "read_noise_e: must be a number below"),
         ("c.json", "[" * 100_000, "not a JSON file"),

@@ -159,8 +159,8 @@ def change(folder, number, **fields):
         (lambda folder: change(folder, 2, until=7), "line 3: there is no block of prefixes"),
         (lambda folder: change(folder, 2, **lines(folder)[1]), "line 3: the block of prefixes .* comes twice"),
         (lambda folder: change(folder, 2, survivors="1101 1"), "line 3: the block does not add up: as many minima"),
-        (lambda folder: change(folder, 2, survivors=None), "line 3: survivors is missing, or of another type"),
-        (lambda folder: change(folder, 2, bound="2"), "line 3: bound is missing, or of another type"),
+        (lambda folder: change(folder, 2, survivors=None), "line 3: survivors: must be a string"),
+        (lambda folder: change(folder, 2, bound="2"), "line 3: bound: must be a number"),
         (lambda folder: (folder / FILE_NAME).write_text("{\n"), "line 1 is damaged"),
     ],
 )
