@@ -12,12 +12,11 @@
 # ---
 
 # %% [markdown]
-# %% [markdown]
 # # Why one open photo cannot know the order, and the calibration that does
 #
-# A photo taken with an open shutter shows where the camera went, but not when. A shutter code is played in time: along
-# a path in the wrong order it is a code for another motion. This notebook shows two motions that draw the same blur,
-# what it costs to take one for the other, and how photos through known codes tell them apart.
+# **Question.** Why is one photo with an open shutter not enough to design a code?
+# **Answer.** It shows where the camera went, but not when. A shutter code is played in time: along a path in the wrong
+# order it is a code for another motion. Photos of the same motion through known codes show the order.
 
 # %% [markdown]
 # ## Two motions, one blur
@@ -71,8 +70,9 @@ figure.colorbar(drawn, ax=axes[:, 0], location="left", label="time, share of the
 # %% [markdown]
 # ## What a mistake costs
 #
-# A code searched along the one motion, and one searched along the other: what is each worth where the camera moves
-# the first way? `mse_db` is the expected error after restoration, lower is better.
+# A code is searched along the one motion, and another along the other. Both are then judged where the camera moves
+# the first way. `mse_db` is the expected error after restoration, lower is better. The code for the wrong order is no
+# better than the best of 15 random ones.
 
 # %%
 camera = cep.Camera(photons_full_scale=20_000, read_noise_e=100)
@@ -91,11 +91,12 @@ codes = {
     for name, path in {"along the true motion": one, "along the other one": other}.items()
 }
 rng = np.random.default_rng(0)
-random_db = [error_db(cep.ShutterCode(rng.permutation(np.arange(24) % 2))) for _ in range(30)]
+random_db = [error_db(cep.ShutterCode(rng.permutation(np.arange(24) % 2))) for _ in range(15)]
 found_db = {name: error_db(code) for name, code in codes.items()}
 for name, value in found_db.items():
     print(f"a code searched {name:22} {value:6.2f} dB")
 assert found_db["along the true motion"] < found_db["along the other one"] - 0.3
+assert found_db["along the other one"] > np.min(random_db)
 print(f"random codes, mean and best     {np.mean(random_db):6.2f} dB, {np.min(random_db):.2f} dB")
 
 # %% [markdown]
@@ -108,12 +109,13 @@ print(f"random codes, mean and best     {np.mean(random_db):6.2f} dB, {np.min(ra
 # %%
 from skimage import data
 
-scene = data.astronaut()[120:340, 60:280] / 255
+scene = data.camera()[70:270, 130:330] / 255
 through = [cep.ShutterCode(bits) for bits in ("11111111", "00001111", "00111100", "01100110")]
 photos = [cep.capture(scene, one, code, camera, rng=rng) for code in through]
 found = cep.estimate_motion(photos, codes=through)
 print(found)
 print(f"order right with probability {found.details['order_confidence']:.2f}")
+assert found.details["order_confidence"] > 0.8
 found
 
 
