@@ -209,7 +209,7 @@ class Views:
         except ValueError as wrong:
             raise FieldError.of(wrong, fallback="motion") from None
         with self._keeping:
-            self._benches[setting.key] = bench
+            bench = self._benches.setdefault(setting.key, bench)  # another request may have made it meanwhile
             while len(self._benches) > _BENCHES:
                 self._benches.popitem(last=False)
         return bench, error

@@ -99,11 +99,6 @@ class LiveBench:
         self.problem = problem
         self.freq_cy_px = np.linspace(0, 0.5, _CURVE)
         self.axis = main_axis(scenario.trajectory)
-        x, y = np.meshgrid(np.linspace(-0.5, 0.5, MAP_COLUMNS), np.linspace(0, 0.5, MAP_ROWS))
-        fx = np.concatenate([self.freq_cy_px * self.axis[0], x.ravel()])
-        fy = np.concatenate([self.freq_cy_px * self.axis[1], y.ravel()])
-        rows = scenario_rows(scenario, problem.chips, fx, fy, response=problem.response)
-        self._rows = distinct_rows(rows, problem.response).astype(np.complex64)
         self._ways: tuple[float, tuple[Way, ...]] | None = None  # of the latest error of the path
         self._expected: tuple[float, ExpectedPsnr] | None = None  # of this error
         self._finding = threading.Lock()
@@ -119,6 +114,15 @@ class LiveBench:
         metrics = self.problem.measure(code, budget=_BUDGET)
         modulus = np.abs(coded_sum(self._rows, code.array[None])[0]).astype(np.float64)
         return LiveFigures(metrics, modulus[:_CURVE], modulus[_CURVE:].reshape(MAP_ROWS, MAP_COLUMNS))
+
+    @cached_property
+    def _rows(self) -> NDArray[np.complex64]:
+        """OTFs of the chips on the curve and the map; photos do without."""
+        x, y = np.meshgrid(np.linspace(-0.5, 0.5, MAP_COLUMNS), np.linspace(0, 0.5, MAP_ROWS))
+        fx = np.concatenate([self.freq_cy_px * self.axis[0], x.ravel()])
+        fy = np.concatenate([self.freq_cy_px * self.axis[1], y.ravel()])
+        rows = scenario_rows(self.problem.scenarios[0], self.problem.chips, fx, fy, response=self.problem.response)
+        return distinct_rows(rows, self.problem.response).astype(np.complex64)
 
     @cached_property
     def opened(self) -> LiveFigures:

@@ -6,7 +6,8 @@ import { drawCurves, drawGains, drawMap, drawOnPhoto, drawPath, drawPlayed } fro
 
 const $ = (id) => document.getElementById(id);
 const page = named("studio-page", () => crypto.randomUUID().replaceAll("-", ""));
-let state = fromAddress(location.hash);
+const late = remembered("studio-late"); // an address that was not written before the page was loaded again
+let state = fromAddress(late?.from === location.hash ? late.to : location.hash);
 let revision = 0, shown = null, judged = null, advice = remembered("studio-advice"), openMap = null, estimate = remembered("studio-estimate"), job = null, known = null;
 const past = [], future = [];
 const strip = new Strip($("strip"), (bits, done) => {
@@ -221,10 +222,28 @@ function change(part, { recorded = false } = {}) {
   if (!recorded) record();
   const before = state;
   state = { ...state, ...part };
-  history.replaceState(null, "", toAddress(state));
+  keepAddress();
   fill();
   if (JSON.stringify(settingOf(before)) !== JSON.stringify(settingOf(state)) || before.photo !== state.photo || ["view", "left", "right"].some((name) => before[name] !== state[name])) follow();
   else followPins();
+}
+
+// The address follows a little later: browsers stop a page that writes it more than 200 times in 10 s, as a hand does.
+let addressTimer = null, written = location.hash;
+function keepAddress() {
+  addressTimer ??= setTimeout(writeAddress, 150);
+  remember("studio-late", { from: written, to: toAddress(state) }); // should the page be loaded again before
+  document.body.dataset.address = "late";
+}
+
+function writeAddress() {
+  clearTimeout(addressTimer);
+  addressTimer = null;
+  delete document.body.dataset.address;
+  remember("studio-late", null);
+  if (location.hash !== written) return; // somebody has just typed another one
+  history.replaceState(null, "", toAddress(state));
+  written = location.hash;
 }
 
 function follow() {
@@ -340,6 +359,7 @@ function drawCurve() {
   drawCurves($("curve"), [{ values: shown.open_curve, class: "open" }, ...pins, { values: shown.curve, class: "code" }]);
 }
 
+const drawnRows = new WeakMap(); // of the table, as they are drawn
 function drawPins() {
   if (!shown) return;
   const figures = { ...shown.figures, psnr_db: ownPsnr()?.psnr_db ?? null };
@@ -350,8 +370,13 @@ function drawPins() {
   });
   const ways = [...(judged?.ways ?? []), ...(advice?.key === adviceKey() && advice.ways.code ? [{ ...advice.ways.code, name: "best code found" }] : [])];
   for (const way of ways) rows.push({ name: way.name, bits: way.bits, figures: { psnr_db: way.psnr_db }, way, note: way.saturates ? "saturates" : way.within_limits ? "" : "outside the limits" });
-  $("pins").tBodies[0].replaceChildren(...rows.map((row, index) => {
+  const body = $("pins").tBodies[0];
+  while (body.rows.length > rows.length) body.deleteRow(-1);
+  rows.forEach((row, index) => {
+    const looks = JSON.stringify(row), before = body.rows[index];
+    if (before && drawnRows.get(before) === looks) return;
     const line = document.createElement("tr");
+    drawnRows.set(line, looks);
     if (!index) line.className = "mark";
     const head = document.createElement("td");
     const name = document.createElement("span");
@@ -364,12 +389,12 @@ function drawPins() {
     last.className = "n";
     if (row.pin || row.way) {
       last.append(act("take", `Take ${row.name}`, () => change({ bits: row.bits, search: null })));
-      if (row.pin) last.append(" ", act("unpin", `Unpin ${row.name}`, () => change({ pins: state.pins.filter((one) => one !== row.pin) })));
+      if (row.pin) last.append(" ", act("unpin", `Unpin ${row.name}`, () => change({ pins: state.pins.filter((one) => one.name !== row.pin.name) })));
       else last.append(" ", act("pin", `Pin ${row.name}`, () => pinCode(row.name, row.bits)));
     }
     line.append(last);
-    return line;
-  }));
+    if (before) before.replaceWith(line); else body.append(line);
+  });
 }
 
 function act(text, label, does) {
@@ -382,11 +407,15 @@ function act(text, label, does) {
   return made;
 }
 
+let drawnEstimate = []; // estimate, motion and photo as they are drawn
 function drawEstimate() {
+  $("drop").classList.toggle("filled", !$("photo-image").hidden);
+  const now = [estimate, state.motion, state.photo];
+  if (now.every((one, i) => one === drawnEstimate[i])) return;
+  drawnEstimate = now;
   $("estimate").hidden = !estimate;
-  const drop = $("drop");
   const hasPhoto = Boolean(state.photo) && Boolean(estimate?.width);
-  drop.classList.toggle("filled", !$("photo-image").hidden);
+  $("photo-path").toggleAttribute("hidden", !(hasPhoto && state.motion.kind === "path"));
   if (!estimate) return;
   $("confidence").value = estimate.confidence ?? 1;
   $("confidence-text").textContent = estimate.confidence === undefined ? "of a file" : `${Math.round(100 * estimate.confidence)} %`;
@@ -407,10 +436,7 @@ function drawEstimate() {
     made.addEventListener("click", () => change({ motion: pathOf(path) }));
     return made;
   }));
-  if (hasPhoto && state.motion.kind === "path") {
-    $("photo-path").toggleAttribute("hidden", false);
-    drawOnPhoto($("photo-path"), state.motion, estimate.width, estimate.height);
-  } else $("photo-path").toggleAttribute("hidden", true);
+  if (hasPhoto && state.motion.kind === "path") drawOnPhoto($("photo-path"), state.motion, estimate.width, estimate.height);
 }
 
 const pathOf = ({ direction, t, x, y }) => settled({ kind: "path", direction, t, x, y });
@@ -697,11 +723,12 @@ function wire() {
     } catch (error) { complain(error, ["file"]); }
   });
   on("copy", "click", async () => {
+    writeAddress();
     await navigator.clipboard?.writeText(location.href).catch(() => {});
     $("copy").textContent = "Copied";
     setTimeout(() => { $("copy").textContent = "Copy address"; }, 1200);
   });
-  addEventListener("hashchange", () => { state = fromAddress(location.hash); fill(); follow(); });
+  addEventListener("hashchange", () => { written = location.hash; state = fromAddress(location.hash); fill(); follow(); });
   let resizing = 0;
   addEventListener("resize", () => { cancelAnimationFrame(resizing); resizing = requestAnimationFrame(() => { if (shown) draw(); if (advice) showAdvice(); drawEstimate(); }); });
 }

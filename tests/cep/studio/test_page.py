@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow  # a server of its own, and a browser
 
 
 @pytest.fixture(scope="module")
-def address():
+def server_address():
     """Address of a studio in a process of its own, as the command starts it."""
     command = [sys.executable, "-c", "from cep.cli.main import run; run()", "studio", "--no-browser", "--json"]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -34,7 +34,7 @@ def address():
 
 
 @pytest.fixture
-def studio(browser, address):
+def studio(browser, server_address):
     """Open the studio in a window of a given width; at the end check for requests to other hosts and errors."""
     contexts, asked, errors = [], [], []
 
@@ -45,7 +45,7 @@ def studio(browser, address):
         page.on("request", lambda request: asked.append(request.url))
         page.on("console", lambda message: errors.append(message.text) if "422" not in message.text else None)
         page.on("pageerror", lambda error: errors.append(str(error)))
-        page.goto(address)
+        page.goto(server_address)
         if state:
             page.evaluate("state => { location.hash = state; }", state)
         shown(page)
@@ -55,7 +55,7 @@ def studio(browser, address):
     for context in contexts:
         context.close()
     assert errors == []
-    home = urlsplit(address).netloc
+    home = urlsplit(server_address).netloc
     assert {urlsplit(url).netloc for url in asked if not url.startswith(("data:", "blob:"))} == {home}
 
 
@@ -75,8 +75,14 @@ def shown(page):
     )
 
 
+def address(page):
+    """State in the address, which follows the page a little later."""
+    until(page, "!('address' in document.body.dataset)")
+    return urlsplit(page.url).fragment
+
+
 def bits(page):
-    return dict(part.split("=", 1) for part in urlsplit(page.url).fragment.split("&"))["code"]
+    return dict(part.split("=", 1) for part in address(page).split("&"))["code"]
 
 
 def chip(page, number):
@@ -132,7 +138,7 @@ def test_the_address_is_the_state(studio):
     page.locator("#pin").click()
     page.locator("input[value=restored]").check(force=True)
     shown(page)
-    other = studio(state=urlsplit(page.url).fragment)
+    other = studio(state=address(page))
     for field, value in (("length", "23.5"), ("camera", "sony-imx250"), ("photons", "900"), ("open-low", "10")):
         assert other.locator(f"#{field}").input_value() == value
     assert other.locator("input[value=restored]").is_checked()
@@ -156,7 +162,7 @@ def test_the_divider_compares_two_photos(studio):
     shown(page)
     until(page, "document.getElementById('tag-left').textContent === 'best single exposure'")
     assert page.locator("#photo-left").get_attribute("src") != before
-    assert "left=snapshot" in page.url
+    assert "left=snapshot" in address(page)
     assert page.locator("#photo-left").get_attribute("alt") == "Simulated photo, best single exposure, as taken"
 
 
@@ -190,6 +196,27 @@ def test_wrong_input_is_told_beside_its_field_and_survives_a_reload(studio):
     page.locator("#exposure").fill("20ms")
     until(page, "document.querySelector('.error[data-for=exposure]').textContent === ''")
     shown(page)
+
+
+def test_many_quick_changes_keep_the_address_and_an_early_reload_loses_nothing(studio):
+    """Browsers refuse more than 200 new addresses in 10 s, and an error would end the test."""
+    page = studio(state="code=" + "10" * 20 + "&motion=straight:30:0")
+    page.evaluate(
+        """async () => {
+          const range = document.getElementById("length-range");
+          for (let i = 0; i < 320; i++) {
+            range.value = 20 + (i % 40);
+            range.dispatchEvent(new Event("input"));
+            await new Promise((done) => setTimeout(done, 4));
+          }
+          document.querySelector("#strip button").click();
+        }"""
+    )
+    page.reload()
+    until(page, "document.body.dataset.asked !== undefined")
+    shown(page)
+    assert "motion=straight:59:0" in address(page)
+    assert bits(page) == "00" + "10" * 19
 
 
 def test_a_search_shows_its_best_and_can_be_stopped(studio):
@@ -247,7 +274,7 @@ def test_what_is_saved_opens_again(studio, tmp_path):
     other.locator("#open_file").set_input_files(saved)
     until(other, "location.hash.includes('code=1101000111010110')")
     shown(other)
-    assert other.url.split("#")[1] == page.url.split("#")[1]
+    assert address(other) == address(page)
     with page.expect_download() as exporting:
         page.locator("#format").select_option("csv")
         page.locator("#export").click()
