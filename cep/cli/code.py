@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from cep.io.files import StoredCode
+    from cep.optics.camera import Camera
     from cep.optics.code import ShutterCode
     from cep.proofs.audit import Audit
     from cep.proofs.verify.certificates import Verdict
@@ -76,7 +78,8 @@ def audit(
     gains_db of --json, as of cep advise. Without a motion these are null, and the figures are those of a straight one
     of 1 px a chip. A code.json's certificate is checked by a
     second, separate program: verified says whether it holds and why, null where there is none. Noise gains above 100
-    dB, those of codes with a zero, are null in JSON. figures has those of --figure: a number, or [forward, backward]
+    dB, and the infinite ones of codes with a zero, are null in JSON. The camera is that of code.json when --camera is
+    omitted. figures has those of --figure: a number, or [forward, backward]
     where the direction is unknown.
 
     In place of a code it takes the proof.jsonl of cep optimize --method exact --cache DIR. A second, separate program
@@ -115,7 +118,8 @@ def audit(
     if blocks is not None:
         raise ValueError(f"--blocks: needs a proof.jsonl, {code} is none")
     stored = find_code(code, chip_ns=chip_ns)
-    noise = load_camera(camera, photons=photons, read_noise=read_noise)
+    known = None if camera is not None else _searched_with(stored, code)
+    noise = load_camera(camera, photons=photons, read_noise=read_noise, standard=known)
     stated = trajectory is not None or linear is not None
     moved = load_motion(trajectory, linear) if stated else None
     error_px = None if moved is None or trajectory is None else stated_uncertainty_px(moved, trajectory)
@@ -151,6 +155,21 @@ def audit(
     if output:
         write_text(output, json_text(result))
     finish(result, as_json=as_json, tables=tables, show=lambda console: _show(console, found, verdict, said=said))
+
+
+def _searched_with(stored: StoredCode, name: str) -> Camera | None:
+    """Return the camera that a code.json was searched with; None where it names none."""
+    from cep.optics.camera import Camera
+
+    document = stored.problem.get("camera")
+    if document is None:
+        return None
+    try:
+        if not isinstance(document, dict):
+            raise ValueError(f"must be an object, got {type(document).__name__}")
+        return Camera.from_dict(document)
+    except ValueError as error:
+        raise ValueError(f"{name}: problem.camera: {error}; --camera names another") from None
 
 
 def _audit_proof(path: Path, blocks: int, output: Path | None, *, force: bool, seed: int, as_json: bool) -> None:
@@ -199,7 +218,10 @@ def _show(console: Console, found: Audit, verdict: Verdict | None, *, said: str 
         f"motion: {motion.length_px:.1f} px, direction {motion.direction}"
         + ("" if said is not None else " (1 px a chip)")
     )
-    rows = [(name, found.metrics.in_words(name)) for name in found.metrics.to_dict()]
+    hopeless = ("noise_gain_db", "dnf_db") if found.no_inverse else ()
+    rows = [
+        (name, "infinite" if name in hopeless else found.metrics.in_words(name)) for name in found.metrics.to_dict()
+    ]
     rows += [(figure_head(*item), figure_in_words(item[1])) for item in found.figures.items()]
     console.print(table("figures", ("figure", "value"), rows))
     what, unit = ("|P|", "chips") if straight else ("|H|", "light-true")

@@ -16,6 +16,7 @@ from cep.cli.options import (
     Force,
     Gamma,
     Json,
+    Linear,
     Photons,
     ReadNoise,
     Seed,
@@ -36,6 +37,7 @@ def deblur(
         Path, typer.Argument(metavar="IMAGE", help="Blurred photo, coded or not: PNG, TIFF, JPEG, WebP or RAW.")
     ],
     trajectory: TrajectoryFile = None,
+    linear: Linear = None,
     code: Annotated[
         str | None,
         typer.Option(
@@ -50,7 +52,7 @@ def deblur(
         typer.Option(
             "--psf",
             metavar="FILE",
-            help="Instead of --trajectory and --code: a PSF as .npy, .mat or .png.",
+            help="Instead of --trajectory, --linear and --code: a PSF as .npy, .mat or .png.",
             rich_help_panel=MOTION,
         ),
     ] = None,
@@ -78,14 +80,17 @@ def deblur(
     blur, or one that no restoration improves, is written as it was, and the first line says so.
 
     Along a trajectory of unknown direction the orders in time that it may have had are tested, and it is said which
-    fits: forward, reverse, or reordered where loops were run the other way round. A single photo without a trajectory
-    shows its PSF, but seldom the order in time; give --code for its light.
+    fits: forward, reverse, or reordered where loops were run the other way round. --linear is a straight and uniform
+    motion along the rows. A single photo without a trajectory shows its PSF, but seldom the order in time; give --code
+    for its light.
 
     The camera's figures are for the methods wiener and pnp.
 
     Example: cep deblur photo.jpg
 
     Example: cep deblur coded.png --trajectory trajectory.json --code code.json -o sharp.png
+
+    Example: cep deblur coded.png --linear 40 --code code.json -o sharp.png
 
     Example: cep deblur coded.png --code code.json -o sharp.png
     """
@@ -107,12 +112,12 @@ def deblur(
         from cep.workflows.calibrate import check_photo, check_texture, estimate_motion
 
         alone = method == "auto" and all(
-            one is None for one in (trajectory, psf, code, camera, photons, read_noise)
+            one is None for one in (trajectory, linear, psf, code, camera, photons, read_noise)
         )  # what suits the photo is chosen
         method = "wiener" if method == "auto" else method
         find_method(method)
-        if trajectory is not None and psf is not None:
-            raise ValueError("--trajectory FILE and --psf FILE: give one of them at most")
+        if sum(one is not None for one in (trajectory, linear, psf)) > 1:
+            raise ValueError("--trajectory FILE, --linear PX and --psf FILE: give one of them at most")
         if psf is not None and code is not None:
             raise ValueError("--code: not valid with --psf, whose file already holds the code")
         options = {}
@@ -121,7 +126,8 @@ def deblur(
                 first = "--camera" if camera is not None else "--photons" if photons is not None else "--read-noise"
                 raise ValueError(f"{first}: not valid with --method {method}; wiener and pnp use the camera")
             options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
-        motion = None if trajectory is None else load_motion(trajectory, None).trajectory
+        stated = trajectory is not None or linear is not None
+        motion = load_motion(trajectory, linear).trajectory if stated else None
         if motion is not None and shutter is not None:
             check_resolved(motion, shutter.chips)
         kernel = None if psf is None else read_psf(psf)

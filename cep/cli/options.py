@@ -124,13 +124,15 @@ def load_motion(trajectory: Path | None, linear: float | None) -> StoredMotion:
     return StoredMotion(Trajectory.straight(linear), source={"method": "linear"})
 
 
-def load_camera(name: str | None, *, photons: float | None, read_noise: float | None) -> Camera:
+def load_camera(
+    name: str | None, *, photons: float | None, read_noise: float | None, standard: Camera | None = None
+) -> Camera:
     """Return the camera of ``--camera``, changed by ``--photons`` and ``--read-noise``; the standard one without."""
     from dataclasses import replace
 
     from cep.optics.camera import Camera
 
-    camera = Camera() if name is None else Camera.load(name)
+    camera = standard or Camera() if name is None else Camera.load(name)
     if photons is not None:
         camera = camera.at(photons)
     return camera if read_noise is None else replace(camera, read_noise_e=read_noise)

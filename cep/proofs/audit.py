@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_NO_LIGHT = 1e-9  # of the duty: smaller values of |H| at a proven zero are rounding
 _LONG_CHIPS = 256  # beyond it three flips take minutes
 _REFINED = 24  # candidates of the grid whose minimum over the continuum is found
 _WORTH = 1.001  # a neighbour must be better by more than rounding
@@ -94,7 +96,8 @@ class Audit:
         What the proofs are about: None is the unit circle of the code's polynomial, which decides along uniform
         straight motions.
     metrics : CodeMetrics
-        Of the worse direction where it is unknown.
+        Of the worse direction where it is unknown. Noise gains are infinite where a straight motion has a proven zero
+        within the band.
     certificate : Certificate
         Proven bounds of the smallest MTF.
     zeros : mapping of direction to Zeros
@@ -118,6 +121,11 @@ class Audit:
     neighbours: tuple[Neighbour, ...]
     flips: int
     figures: Mapping[str, OwnFigure] = field(default_factory=dict)
+
+    @property
+    def no_inverse(self) -> bool:
+        """Whether the inverse filter amplifies noise without bound: a proven zero lies within the band."""
+        return math.isinf(self.metrics.noise_gain_db)
 
     @property
     def null(self) -> bool:
@@ -203,6 +211,9 @@ def audit(
     progress(0.1, "proving the minimum")
     certificate = certify(code, along)
     zeros = zeros_by_direction(code, along)
+    if along is None and zeros["both"].found and metrics.min_mtf < _NO_LIGHT * code.duty:
+        # the samples of the band miss the line of the zero, whose share of 1/|H|^2 has no bound
+        metrics = replace(metrics, noise_gain_db=math.inf, dnf_db=math.inf)
     grids = grid_claims(code, along, certificate.upper)
     progress(0.5, "looking at neighbours")
     neighbours = better_neighbours(code, along, flips=far)

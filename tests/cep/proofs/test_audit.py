@@ -1,6 +1,7 @@
 """Neighbours of a code, against brute force; zeros where theory puts them."""
 
 import json
+import re
 from itertools import combinations
 from pathlib import Path
 
@@ -11,9 +12,10 @@ from hypothesis import strategies as st
 
 from cep.codes.published import CLAIMS, PUBLISHED
 from cep.io.files import StoredCode, write_code
+from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
-from cep.proofs.audit import better_neighbours, grid_claims, null_threshold, zeros_by_direction
+from cep.proofs.audit import audit, better_neighbours, grid_claims, null_threshold, zeros_by_direction
 from cep.proofs.certify.certificate import certify
 from cep.proofs.certify.minimum import min_chip
 from motdiff.trajectory import Trajectory
@@ -142,6 +144,34 @@ def test_the_command_tells_zeros_grids_and_no_verdict(cep):
     shown = cep("audit", "merl-31-t62", "--flips", "0").out
     assert "root of unity of order 6" in shown
     assert "hides the zero" in shown
+
+
+def test_a_proven_zero_within_the_band_leaves_no_inverse(cep):
+    """1/|H|^2 has no finite mean there, which no set of samples shows; a zero beyond the band does no harm."""
+    found = audit(PUBLISHED["merl-31-t62"], flips=0)
+    assert found.no_inverse
+    assert found.metrics.noise_gain_db == found.metrics.dnf_db == np.inf
+    beyond = audit(PUBLISHED["merl-31-t62"], Trajectory.straight(10.0), flips=0)  # 0.52 cycles/px
+    assert beyond.zeros["both"].found
+    assert not beyond.no_inverse
+    assert not audit(PUBLISHED["raskar-52"], flips=0).no_inverse
+    assert not audit(ShutterCode("1101"), BENT, flips=0).no_inverse  # a curved path's are single points
+    assert cep.succeeds("audit", "merl-31-t62", "--flips", "0")["noise_gain_db"] is None
+    assert re.search(r"noise_gain_db +infinite", cep("audit", "merl-31-t62", "--flips", "0").out)
+
+
+def test_the_command_judges_a_stored_code_with_the_camera_of_its_search(cep, tmp_path):
+    path = tmp_path / "code.json"
+    write_code(path, StoredCode(PUBLISHED["raskar-52"], problem={"camera": Camera(read_noise_e=100).to_dict()}))
+    asked = ("audit", path, "--linear", "52", "--flips", "0")
+    assert cep.succeeds(*asked)["choice"] == "code"
+    assert cep.succeeds(*asked, "--read-noise", "2")["choice"] == "snapshot"
+    assert cep.succeeds(*asked, "--camera", "sony-imx250")["choice"] == "snapshot"
+    write_code(path, StoredCode(PUBLISHED["raskar-52"], problem={"camera": {"bits": 99}}))
+    assert cep.refuses(*asked) == (
+        f"cep: {path}: problem.camera: bits: must be a whole number within 1..16, got 99; --camera names another\n"
+    )
+    assert cep.succeeds(*asked, "--camera", "sony-imx250")["choice"] == "snapshot"
 
 
 def test_the_command_says_along_a_motion_whether_the_code_is_the_exposure_to_take(cep):
