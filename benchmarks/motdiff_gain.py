@@ -53,8 +53,18 @@ FloatArray = np.ndarray
 METHODS = ("pmp", "pmp+", "pmp4+", "motdiff")
 _STEPS = (1, 10)
 _REFINED = 3  # as in MotDiffEstimator
-_NOISE = (0.003, 0.01)
-_LEAST_SCENES = 5  # fewer give no interval worth printing
+_NOISE = (0.003, 0.009)  # 0.01 of full scale is found as 0.0095 to 0.0105
+_CONFIDENCE = (0.7, 0.9)
+_LEAST_SCENES = 4  # fewer give no interval
+_CHANGED = 0.02  # a kernel that is better or worse by more counts as won or lost
+_KINDS = {
+    "boracchi_foi": "walks of full length",
+    "boracchi_foi_short": "shorter walks",
+    "gyro": "hand shake",
+    "straight": "straight or accelerated",
+    "quadratic": "straight or accelerated",
+    "real": "real",
+}
 
 
 @dataclass(frozen=True)
@@ -239,42 +249,50 @@ def read_rows(files: Iterable[Path]) -> list[dict]:
 
 
 def groups(rows: list[dict]) -> Iterator[tuple[str, list[dict]]]:
-    """All rows, and those of each kind of motion, level of noise and third of detail."""
+    """All rows, and those of each kind of motion, level of noise, third of detail, and confidence of ``pmp``."""
     yield "all", rows
-    for kind in sorted({row["kind"] for row in rows}):
-        yield kind, [row for row in rows if row["kind"] == kind]
-    low, high = _NOISE
-    yield f"noise below {low}", [row for row in rows if row["sigma"] < low]
-    yield f"noise {low} to {high}", [row for row in rows if low <= row["sigma"] < high]
-    yield f"noise {high} or more", [row for row in rows if row["sigma"] >= high]
-    first, second = np.quantile([row["detail"] for row in rows], (1 / 3, 2 / 3))
-    yield f"detail below {first:.3f}", [row for row in rows if row["detail"] < first]
-    yield f"detail {first:.3f} to {second:.3f}", [row for row in rows if first <= row["detail"] < second]
-    yield f"detail {second:.3f} or more", [row for row in rows if row["detail"] >= second]
+    for kind in dict.fromkeys(_KINDS.values()):
+        yield kind, [row for row in rows if _KINDS[row["kind"]] == kind]
+    thirds = tuple(float(x) for x in np.quantile([row["detail"] for row in rows], (1 / 3, 2 / 3)).round(3))
+    levels = (
+        ("noise", _NOISE, lambda row: row["sigma"]),
+        ("detail", thirds, lambda row: row["detail"]),
+        ("confidence of pmp", _CONFIDENCE, lambda row: row["pmp"]["confidence"]),
+    )
+    for name, (low, high), value in levels:
+        yield f"{name} below {low:g}", [row for row in rows if value(row) < low]
+        yield f"{name} {low:g} to {high:g}", [row for row in rows if low <= value(row) < high]
+        yield f"{name} {high:g} or more", [row for row in rows if value(row) >= high]
 
 
 def difference(rows: list[dict], first: str, second: str, figure: str = "mnc") -> str:
     """Mean paired difference with its 95 % interval, photos of one scene drawn together."""
     less = [row[first][figure] - row[second][figure] for row in rows]
     found = mean_interval(less, rng=np.random.default_rng(0), clusters=[row["scene"] for row in rows])
-    if found.clusters < _LEAST_SCENES:
-        return f"{found.mean:+.3f}"
-    return f"{found.mean:+.3f} [{found.low:+.3f}, {found.high:+.3f}]"
+    if found.clusters < _LEAST_SCENES or not np.isfinite(found.low):
+        return f"{found.mean:.3f}"
+    return f"{found.mean:.3f} [{found.low:.3f}, {found.high:.3f}]"
+
+
+def line(name: str, rows: list[dict], figure: str = "mnc") -> str:
+    """Line of the table: means, paired differences, and the photos whose kernel became clearly better or worse."""
+    means = " | ".join(f"{np.mean([row[method][figure] for row in rows]):.3f}" for method in METHODS)
+    less = " | ".join(difference(rows, "motdiff", other, figure) for other in METHODS[:-1])
+    change = np.array([row["motdiff"]["mnc"] - row["pmp"]["mnc"] for row in rows])
+    changed = f"{np.sum(change > _CHANGED)}, {np.sum(change < -_CHANGED)}" if figure == "mnc" else ""
+    return f"| {name} | {len(rows)} | {means} | {less} | {changed} |"
 
 
 def table(rows: list[dict]) -> Iterator[str]:
     """Lines of the tables: sub-pixel MNC by group, processor time, and draws of the network."""
     whole = [row for row in rows if all(name in row for name in METHODS)]
-    yield f"| photos | n | {' | '.join(METHODS)} | {' | '.join(f'motdiff less {name}' for name in METHODS[:-1])} |"
-    yield f"|---|{'---:|' * (2 * len(METHODS))}"
+    others = " | ".join(f"less {name}" for name in METHODS[:-1])
+    yield f"| photos | n | {' | '.join(METHODS)} | {others} | won, lost |"
+    yield f"|---|{'---:|' * (len(METHODS) + 1)}{'---|' * (len(METHODS) - 1)}---:|"
     for name, some in groups(whole):
         if some:
-            means = " | ".join(f"{np.mean([row[method]['mnc'] for row in some]):.3f}" for method in METHODS)
-            less = " | ".join(difference(some, "motdiff", other) for other in METHODS[:-1])
-            yield f"| {name} | {len(some)} | {means} | {less} |"
-    means = " | ".join(f"{np.mean([row[method]['cpu_s'] for row in whole]):.2f}" for method in METHODS)
-    less = " | ".join(difference(whole, "motdiff", other, "cpu_s") for other in METHODS[:-1])
-    yield f"| CPU-s | {len(whole)} | {means} | {less} |"
+            yield line(name, some)
+    yield line("CPU-s", whole, "cpu_s")
     known = [row for row in rows if "ddim:1" in row]
     for steps in _STEPS if known else ():
         of = [row[f"ddim:{steps}"] for row in known]
