@@ -91,7 +91,7 @@ for row, play in enumerate(played.plays, start=1):
     axes.stairs(1.3 * row + code.array, edges, baseline=1.3 * row, fill=True)
     labels.append(f"play {row}")
 axes.set(xlabel="time since the first chip, ms", ylabel="shutter, high: open", title="as recorded")
-axes.set_yticks([1.3 * row + 0.5 for row in range(len(labels))], labels)
+_ = axes.set_yticks([1.3 * row + 0.5 for row in range(len(labels))], labels)
 
 # %% [markdown]
 # ## The PSF as achieved
@@ -111,7 +111,7 @@ x_px = np.arange(size) - size // 2
 axes.step(x_px, commanded.sum(axis=0), where="mid", color="0.5", label="commanded")
 axes.step(x_px, achieved.sum(axis=0), where="mid", label="achieved, play 1")
 axes.set(xlabel="x, px", ylabel="light, share of the exposure per px", xlim=(-30, 30), ylim=(0, 0.028))
-axes.legend(loc="upper center", ncols=2)
+_ = axes.legend(loc="upper center", ncols=2)
 
 # %% [markdown]
 # ## What it is worth

@@ -65,7 +65,7 @@ for row, (name, path) in enumerate({"one motion": one, "another": other}.items()
     for column, title in enumerate(("its blur, shutter open", f"its blur through {code.bits}")):
         axes[row, 1 + column].imshow(psfs[row][column], cmap="gray", vmin=0)
         axes[row, 1 + column].set(title=title, xticks=[], yticks=[])
-figure.colorbar(drawn, ax=axes[:, 0], location="left", label="time, share of the exposure")
+_ = figure.colorbar(drawn, ax=axes[:, 0], location="left", label="time, share of the exposure")
 
 # %% [markdown]
 # ## What a mistake costs

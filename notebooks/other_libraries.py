@@ -175,4 +175,4 @@ except (ImportError, RuntimeError) as missing:  # a torchvision that does not fi
 
 # %% [markdown]
 # An estimator of motion is a row of the other table, as an object with `estimate(photo)` in a module of yours:
-# `cep bench blind --methods pmp,mymodule:MyEstimator`.
+# `cep bench blind --methods pmp,mymodule:MyEstimator`. [Step by step](../docs/howto/own-method.md).

@@ -14,9 +14,13 @@
 # %% [markdown]
 # # Quickstart: a shutter code for your camera's motion
 #
+# **Question.** How does one blurred photo lead to a shutter code, and what is the code worth?
+# **Answer.** In four calls: `estimate_motion`, `optimize`, `capture` and `restore`. Here the code is expected to gain
+# 1.7 dB over the open shutter in a mean scene. In the photo at hand it gains 0.5 dB.
+#
 # A moving camera blurs a photo along its path. If the shutter opens and closes in a well-chosen pattern while the
-# camera moves, the blur keeps all the detail and can be undone. Which pattern is best depends on the path. This
-# notebook goes through the chain in Python; `cep demo` does the same from the shell.
+# camera moves, the blur keeps more of the detail and can be undone better. Which pattern is best depends on the path.
+# `cep demo` goes through the same chain from the shell.
 
 # %% [markdown]
 # ## A blurred photo
@@ -27,7 +31,7 @@
 # %%
 import numpy as np
 from IPython.display import display
-from skimage import data
+from skimage import data, metrics
 
 import cep
 
@@ -51,7 +55,8 @@ estimate
 # ## A code for it
 #
 # One photo with an open shutter cannot tell which way the camera ran along its path, so the code must serve both
-# directions; the search takes care of that. `duty` is the open part of the exposure.
+# directions; the search takes care of that. `duty` is the open part of the exposure. `mse` asks for the smallest
+# expected error of the restored photo.
 
 # %%
 problem = cep.SearchProblem.along(estimate, chips=20, duty=(0.35, 0.7), objective="mse", camera=camera, exposure_s=0.02)
@@ -60,35 +65,46 @@ print(result)
 result
 
 # %% [markdown]
-# The table compares the code with what would be used instead of it. Look at its last column: where "best snapshot"
-# stands above the code, a shorter exposure is the better choice, and no code is needed.
+# The first line says whether to code at all. The table compares the code with what would be used instead of it, by the
+# expected error in its last column: lower is better. The smallest MTF is 0 in all rows, as it is along most bent
+# paths. What counts is how few frequencies are that weak.
 #
-# The smallest MTF of the code is certified: a second program, which shares no code with the first, confirms it.
+# This code is its own mirror image. So the photo is the same whichever way the camera ran.
 
 # %%
-assert cep.verify(result.certificate)
+assert result.verdict.choice == "code"
+assert abs(result.verdict.gains_db["code"] - 1.7) < 0.2
+assert result.code.bits == result.code.bits[::-1]
 
 # %% [markdown]
 # ## What it gains
 #
 # The same camera, the same motion, the same exposure time: once with the shutter open, once with the code. The coded
-# photo has less light, which is why the gain depends on the noise.
+# photo has less light, which is why the gain depends on the noise. Both are restored along the estimated path, and
+# compared with the scene. The expected gain is that of a mean scene; this one gains less.
 
 # %%
+psnr_db = {}
 for name, code in {"open shutter": cep.ShutterCode("1"), "coded": result.code}.items():
     photo = cep.capture(scene, truth, code, camera, rng=rng)
     sharp = cep.restore(photo, trajectory=estimate.best, code=code, camera=camera)
-    print(f"{name:12} {code.duty:4.0%} of the light, direction {sharp.direction}, residual {sharp.residual:.4f}")
+    edge = (scene.shape[0] - sharp.image.shape[0]) // 2
+    wanted = scene[edge:-edge, edge:-edge]
+    psnr_db[name] = metrics.peak_signal_noise_ratio(wanted, sharp.image.clip(0, 1), data_range=1)
+    print(f"{name:12} {code.duty:4.0%} of the light, restored to {psnr_db[name]:.1f} dB")
     display(sharp)
+assert 0.3 < psnr_db["coded"] - psnr_db["open shutter"] < 0.7
 
 # %% [markdown]
 # Save what you need: `estimate.save("motion")`, `result.save("code.json")`, `sharp.save("sharp.png")`. The commands
 # read these files: `cep upload code.json --port /dev/ttyACM0 --arm` puts the code on a shutter controller, as
 # `cep.open_shutter` does in Python.
 #
-# Codes that others published can be named; here the classic one of 2006 on a straight motion of 52 px.
+# Codes that others published can be named. Here the one of 2006 on a straight motion of 52 px: its spectrum |P| stays
+# above 1.3 chips, so no frequency is lost.
 
 # %%
 classic = cep.audit(cep.load_code("raskar-52"), cep.Trajectory.straight(52.0), flips=1)
-print(f"smallest |P|: {classic.metrics.min_chip:.4f} chips; a zero: {classic.null}")
+print(f"smallest |P|: {classic.metrics.min_chip:.4f} chips")
+assert not classic.null
 assert abs(classic.metrics.min_chip - 1.3237) < 1e-3

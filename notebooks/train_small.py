@@ -135,7 +135,7 @@ for column in range(4):
     for row, picture in enumerate((truth, own)):
         axes[row, column].imshow(picture[column, 0], cmap="gray", extent=(-32, 32, 32, -32), vmin=0, vmax=1)
 axes[0, 0].set(ylabel="true path, y in px")
-axes[1, 0].set(ylabel="drawn path, y in px", xlabel="x, px")
+_ = axes[1, 0].set(ylabel="drawn path, y in px", xlabel="x, px")
 
 # %% [markdown]
 # The shipped network has the same parts and learned for hours from other motions: `python -m motdiff train
