@@ -4,7 +4,7 @@ import re
 
 COMMANDS = {
     r"\textbackslash{}": "\\", r"\textasciitilde{}": "~", r"\textasciicircum{}": "^", r"\textbar{}": "|",
-    r"\textless{}": "<", r"\textgreater{}": ">", r"\textquotedbl{}": '"', r"$\pm$": "±", r"$\times$": "×",
+    r"\textless{}": "<", r"\textgreater{}": ">", "''": '"', r"$\pm$": "±", r"$\times$": "×",
     r"$^2$": "²", r"\textmu{}": "µ", r"$\le$": "≤", r"$\ge$": "≥", r"$\to$": "→", r"\ldots{}": "…", "--": "–",
     r"\&": "&", r"\%": "%", r"\$": "$", r"\#": "#", r"\_": "_", r"\{": "{", r"\}": "}",
 }  # fmt: skip

@@ -11,7 +11,7 @@ import typer
 
 from cep.cli.console import finish, part, photo_named, progress
 from cep.cli.jobs import Cache, Dask, Workers, finish_folder, only_of_folders
-from cep.cli.options import Force, Gamma, Json, Seed, output_option
+from cep.cli.options import Force, Gamma, Json, Seed, TableFile, output_option, table_files
 
 __all__ = ["calibrate"]
 
@@ -112,6 +112,7 @@ def calibrate(
     workers: Workers = None,
     dask: Dask = None,
     cache: Cache = None,
+    tables: TableFile = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
@@ -149,10 +150,12 @@ def calibrate(
     if image.is_dir():
         _calibrate_folder(
             image, method, options, gamma=gamma, seed=seed, workers=workers, dask=dask, cache=cache, output=output,
-            force=force, as_json=as_json,
+            tables=tables, force=force, as_json=as_json,
         )  # fmt: skip
         return
     only_of_folders("cep calibrate FOLDER", workers, dask, cache)
+    if tables is not None:
+        raise ValueError("--table: is for a folder (cep calibrate FOLDER), here is a single one")
     with progress(f"estimating the motion ({method})") as tick:
         tick(0.0, "reading the photo")
         from cep.codes.sources import load_codes
@@ -274,14 +277,17 @@ def _calibrate_folder(
     dask: str | None,
     cache: Path | None,
     output: Path | None,
+    tables: Path | None,
     force: bool,
     as_json: bool,
 ) -> None:
     with progress(f"estimating the motion ({method})") as tick:
+        from cep.io.outputs import claim
         from cep.workflows.calibrate import check_options
         from cep.workflows.calibrate_folder import calibrate_folder
 
         check_options(method, options)
+        claim(table_files(tables), force=force)
         found = calibrate_folder(
             folder, output, method=method, samples=options["samples"], sharp=options["sharp"], gamma=gamma, seed=seed,
             cache=cache, workers=workers, dask=dask, force=force, progress=tick,
@@ -293,4 +299,5 @@ def _calibrate_folder(
         title="the motion in each photo",
         noun="photos",
         as_json=as_json,
+        tables=tables,
     )

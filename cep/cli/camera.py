@@ -114,6 +114,7 @@ def estimate(
             help="Figure to write: .png, .pdf or .svg; named as the output, .png, when omitted.",
         ),
     ] = None,
+    tables: TableFile = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -138,7 +139,7 @@ def estimate(
         check_figure_name(picture)
     except ValueError as error:
         raise ValueError(f"--plot: {error}") from None
-    claim([output, picture], force=force, inputs=[*flats, *(dark or ())])
+    claim([output, picture, *table_files(tables)], force=force, inputs=[*flats, *(dark or ())])
     with progress("measuring") as tick:
         found = estimate_camera(
             flats, dark=dark or (), black_dn=black, bits=bits, gamma=gamma, name=output.stem, progress=tick
@@ -157,7 +158,7 @@ def estimate(
              point.use)
             for point in transfer.points
         ]  # fmt: skip
-        console.print(table("", ("mean above black, DN", "variance, DN²", "electrons", "use"), rows))
+        console.print(table("photon transfer", ("mean above black, DN", "variance, DN²", "electrons", "use"), rows))
         console.print(f"{file}: the camera, for --camera; the curve is in {figure}")
 
-    finish(result, as_json=as_json, show=show)
+    finish(result, as_json=as_json, show=show, tables=tables)

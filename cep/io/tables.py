@@ -25,7 +25,7 @@ _LATEX = str.maketrans(
     {
         "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
         "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "|": r"\textbar{}", "<": r"\textless{}",
-        ">": r"\textgreater{}", '"': r"\textquotedbl{}", "–": "--", "±": r"$\pm$", "×": r"$\times$", "²": r"$^2$",
+        ">": r"\textgreater{}", '"': "''", "–": "--", "±": r"$\pm$", "×": r"$\times$", "²": r"$^2$",
         "µ": r"\textmu{}", "≤": r"$\le$", "≥": r"$\ge$", "→": r"$\to$", "…": r"\ldots{}",
     }
 )  # fmt: skip
