@@ -25,6 +25,13 @@ def test_a_notebook_is_paired(path):
     assert all(not cell.get("outputs") for cell in notebook.cells), "outputs are not kept under version control"
 
 
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_links_of_a_notebook_lead_somewhere(path):
+    text = "\n".join(cell.source for cell in jupytext.read(path).cells if cell.cell_type == "markdown")
+    targets = [target for target in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in target]
+    assert all((FOLDER / target.partition("#")[0]).exists() for target in targets)
+
+
 # the kernel's own packages warn about their event loops and folders; that is none of our doing
 @pytest.mark.slow(reason="a kernel, and all that the notebook computes")
 @pytest.mark.filterwarnings("ignore")
