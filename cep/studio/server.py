@@ -21,6 +21,7 @@ from starlette.responses import FileResponse, JSONResponse, Response, StreamingR
 from starlette.routing import Route
 from threadpoolctl import threadpool_limits
 
+from cep.io.images import RAW_SUFFIXES
 from cep.studio.documents import opened_document, opened_gyro
 from cep.studio.jobs import BusyError, Job, Jobs
 from cep.studio.security import Gate, Keys, TooLargeError
@@ -339,6 +340,8 @@ def _static(name: str) -> Response:
     if name not in _STATIC:
         raise HTTPException(404)
     content = (resources.files("cep.studio") / "static" / name).read_bytes()
+    if name == "index.html":
+        content = content.replace(b"{raw_suffixes}", ",".join(RAW_SUFFIXES).encode())
     return Response(content, media_type=_STATIC[name])
 
 

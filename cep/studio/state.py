@@ -21,6 +21,7 @@ __all__ = ["MOST_CHIPS", "FieldError", "Setting", "path_fields", "read_setting"]
 
 MOST_CHIPS = 512
 _MOST_SAMPLES = 512  # of a path in the address
+_TIME_STEPS = 65_535  # of a path in the address: 16 bits
 _FARTHEST_PX = 2_000.0
 _MOST_ERROR_PX = 20.0
 _LIMITS = ("min_open", "min_closed", "max_open", "max_pulses")
@@ -293,12 +294,18 @@ def read_setting(document: object) -> Setting:
 
 
 def path_fields(trajectory: cep.Trajectory, *, most: int = 160) -> dict[str, Any]:
-    """Return a motion as the page keeps it in its address: thinned to at most so many samples."""
+    """Return a motion as the page keeps it in its address: thinned to at most so many samples, times in 16 bits.
+
+    Samples of a fast jump that fall on the same time are moved to the next ones.
+    """
     path, tolerance_px = trajectory, 0.005
     while path.t.size > most:
         path, tolerance_px = trajectory.thinned(tolerance_px), 1.4 * tolerance_px
-    samples = {name: np.round(values, 5).tolist() for name, values in (("t", path.t), ("x", path.x), ("y", path.y))}
-    return {"kind": "path", "direction": path.direction, **samples}
+    order = np.arange(path.t.size)
+    steps = np.maximum.accumulate(np.rint(_TIME_STEPS * path.t) - order) + order
+    t = np.minimum(steps, _TIME_STEPS - order[::-1]) / _TIME_STEPS
+    samples = {name: np.round(values, 5).tolist() for name, values in (("x", path.x), ("y", path.y))}
+    return {"kind": "path", "direction": path.direction, "t": t.tolist(), **samples}
 
 
 def _motion(given: object) -> tuple[Mapping[str, Any], cep.Trajectory]:

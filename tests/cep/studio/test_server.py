@@ -27,6 +27,7 @@ def test_the_page_and_its_files_are_served(client):
     assert page.headers["content-type"].startswith("text/html")
     assert "http://" not in page.text
     assert "https://" not in page.text
+    assert f'accept="image/png,image/jpeg,image/tiff,image/webp,{",".join(RAW_SUFFIXES)}"' in page.text
     for name, kind in (("studio.js", "text/javascript"), ("studio.css", "text/css"), ("icon.svg", "image/svg+xml")):
         assert client.get(f"/static/{name}").headers["content-type"].startswith(kind)
 

@@ -108,3 +108,15 @@ def test_commands_quote_what_a_shell_would_read(setting):
     off = read_setting({**setting, "path_error": 0.3})  # only the file of the trajectory can state it
     assert "--linear" not in " ".join(off.commands(steps=7))
     assert json.dumps(read.commands(steps=7, seed=3)).count("--steps 7 --seed 3") == 1
+
+
+def test_times_of_a_fast_jump_stay_apart_in_the_address():
+    t = np.array([0.0, 0.3, 0.3 + 1e-7, 0.3 + 2e-7, 0.8, 1 - 2e-7, 1 - 1e-7, 1.0])
+    x = np.array([0.0, 1.0, 4.0, 4.5, 5.0, 6.0, 8.0, 9.0])
+    kept = path_fields(cep.Trajectory.from_samples(np.column_stack([x, 0 * x]), t=t))
+    steps = 65_535 * np.array(kept["t"])
+    assert steps == pytest.approx(np.rint(steps))  # the page keeps 16 bits
+    assert np.diff(steps).min() > 0.5
+    assert kept["t"] == pytest.approx(t, abs=3 / 65_535)
+    assert np.diff(kept["x"]) == pytest.approx(np.diff(x), abs=1e-4)
+    assert (kept["t"][0], kept["t"][-1]) == (0.0, 1.0)
