@@ -18,7 +18,7 @@
 # analyser and compare. The recording gives the chips as played, the error of the controller's clock and the jitter,
 # and from them the PSF with which the photo should be restored.
 #
-# No board is needed here: the shipped firmware runs on an emulated Arduino Uno whose clock is 4 % slow, as that of
+# No board is needed here: the shipped firmware runs on an emulated Arduino Uno whose clock is 4 % slow, like that of
 # a board without a crystal. The emulator needs gcc, libsimavr-dev and libelf-dev.
 
 # %% [markdown]

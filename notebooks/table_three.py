@@ -94,7 +94,7 @@ coded_figure({name: shot.arguments for name, shot in shown.items()}, scores, lin
 #
 # Means, with intervals that allow for other photos and other motions alike. The intervals of the rows are wide,
 # because some photos are easier than others. All rows share these photos and motions, so that the differences are
-# far better known.
+# better known. Below, "random" is the mean of the three random codes; the intervals do not allow for other such codes.
 
 # %%
 quality, oracle, *_ = coded_tables(measured)
