@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields
 from importlib import resources
 from itertools import pairwise
@@ -13,7 +14,7 @@ from typing import Any
 from hw._files import regular_file
 from hw.program import Program
 
-__all__ = ["DeviceProfile", "load_profile", "parse_profile", "profile_names"]
+__all__ = ["DeviceProfile", "load_profile", "parse_profile", "profile_names", "refusal"]
 
 _SCHEMA = "hw.device/1"
 
@@ -213,6 +214,25 @@ def load_profile(name: str | Path) -> DeviceProfile:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else _one_line(error)
         raise ValueError(f"{text_name} cannot be read: {reason}; name a built-in profile or a .toml file") from None
     return parse_profile(text, source=text_name)
+
+
+def refusal(problems: Sequence[str], limits: DeviceProfile) -> str:
+    """Say that a program cannot be played, and with which built-in profile a code can be searched that can.
+
+    Examples
+    --------
+    >>> board = DeviceProfile(name="uno", tick_ns=500, max_chips=1024)
+    >>> refusal(["uno: chip of 641026 ns is too odd"], board)
+    'program cannot be played: uno: chip of 641026 ns is too odd; search a code that can with --device cxp-avr'
+    """
+    alike = (
+        name
+        for name in profile_names()
+        if limits.max_chips is not None
+        and (limits.tick_ns, limits.max_chips) == ((known := load_profile(name)).tick_ns, known.max_chips)
+    )
+    hint = next((f"; search a code that can with --device {name}" for name in alike), "")
+    return f"program cannot be played: {'; '.join(problems)}{hint}"
 
 
 def _check_field(name: str, value: Any, *, optional: bool) -> None:

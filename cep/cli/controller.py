@@ -90,13 +90,14 @@ def load(
 
     Example: cep hw load code.json --port /dev/ttyACM0
     """
+    from hw.device import refusal
     from hw.drivers.report import Trust
 
     program, profile = load_program(code, chip_ns=chip_ns, device=device)
     with open_port(port) as controller:
         problems = controller.check(program, profile=profile)
         if problems:
-            raise ValueError("the program cannot be played: " + "; ".join(problems))
+            raise ValueError(refusal(problems, controller.limits))
         stored = controller.load(program, clock_ppm=clock_ppm)
     result = {
         "port": port, **program_figures(program, profile), "trust": Trust.B.value,

@@ -9,7 +9,7 @@ from typing import Self
 from hw.cxp.link import open_link
 from hw.cxp.player import RemotePlayer, VerifyError
 from hw.cxp.protocol import State, pack_arm
-from hw.device import DeviceProfile
+from hw.device import DeviceProfile, refusal
 from hw.drivers.report import Trust, UploadReport
 from hw.errors import WrongStateError
 from hw.program import Program
@@ -118,7 +118,7 @@ class Controller(RemotePlayer):
         """
         problems = self.check(program, profile=profile)
         if problems:
-            raise ValueError("program cannot be played: " + "; ".join(problems))
+            raise ValueError(refusal(problems, self.limits))
         payload = pack_arm(lease_ms)
         start, retries = time.monotonic(), self.link.retries
         armed = False

@@ -37,6 +37,8 @@ def test_without_arm_nothing_is_armed(cep, workplace, controller):
 def test_what_the_controller_cannot_play_is_refused(cep, workplace, controller):
     line = cep.refuses("upload", "1101", "--port", controller.port, "--chip-ns", "1001")
     assert "tick" in line
+    assert line.endswith("; search a code that can with --device cxp-avr\n")
+    assert cep.refuses("hw", "load", "1101", "--port", controller.port, "--chip-ns", "1001").endswith("cxp-avr\n")
     line = cep.refuses("upload", "10" * 600, "--port", controller.port, "--chip-ns", "1000000")
     assert "too long" in line
 
