@@ -220,6 +220,7 @@ def optimize(
         from cep.io.files import StoredCode, write_code
         from cep.io.outputs import claim
         from cep.proofs.measure import find_figures
+        from cep.search.exhaustive.block_proof import plan_blocks
         from cep.search.exhaustive.exact import codes_to_count
         from cep.search.limits import RunLimits
         from cep.search.playable import chip_time_ns
@@ -356,7 +357,12 @@ def optimize(
                     run.check_playable(code)
                     write_code(run.output, StoredCode(code, problem=stored_search(wanted.described, found)))
 
-                tick(0.0, f"{codes_to_count(searched_problem(wanted.problem)):.2g} codes" if method == "exact" else "")
+                if method == "exact":
+                    asked = searched_problem(wanted.problem)
+                    count = codes_to_count(asked) if blocks is None else plan_blocks(asked).codes
+                    tick(0.0, f"{count:.2g} codes")
+                else:
+                    tick(0.0, "")
                 left_s = time_s
                 if chosen is not None and time_s is not None:
                     left_s = max(time_s - (time.monotonic() - began), _LEAST_LEFT * time_s)

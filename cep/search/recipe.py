@@ -22,6 +22,7 @@ from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import Stopped, anneal
 from cep.search.dnf import dnf_search
 from cep.search.exhaustive.exact import ExactResult, codes_to_count, exact
+from cep.search.exhaustive.proof import BlockLog
 from cep.search.light import best_snapshot, best_strobe, random_codes
 from cep.search.limits import nearest
 from cep.search.objective import Objective
@@ -197,8 +198,9 @@ def prove_code(
     code, cost = proven.code, judge.exact_cost(proven.code)
     if not proven.proven:
         code, cost = _best_of(code, cost, known)
+    counted = proven.proof.judged if isinstance(proven.proof, BlockLog) else codes_to_count(problem)
     return Found(
-        code, cost, codes_to_count(problem), proven.seconds, "proven" if proven.proven else "interrupted",
+        code, cost, counted, proven.seconds, "proven" if proven.proven else "interrupted",
         tuple(known), proven.proof.to_dict(),
     )  # fmt: skip
 

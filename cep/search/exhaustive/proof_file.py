@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,8 @@ class ProofFile:
     def open(cls, folder: Path | str, plan: BlockPlan) -> Iterator[ProofFile]:
         """Open the proof in a folder, made where it is missing, and hold it until the end.
 
-        A last line that was cut short, as by a lost power supply, is dropped: its block is judged again.
+        A last line that was cut short, as by a lost power supply, is dropped: its block is judged again. The file is
+        written with its first block: a proof that judged none leaves nothing.
 
         Raises
         ------
@@ -47,18 +48,17 @@ class ProofFile:
         path = folder / FILE_NAME
         if folder.exists() and not folder.is_dir():
             raise ValueError(f"{folder}: is a file, a folder for the proof is needed")
+        made = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
-        with _held(folder):
+        with _held(folder), _left_out_if(made, folder):
             whole, end = _read(path, plan) if path.exists() and path.stat().st_size else (None, 0)
             proof = cls(path, plan, {})
-            if whole is None:
-                _append(path, {"schema": SCHEMA, "version": VERSION, **plan.header()}, 0)
-            else:
-                for line, record in enumerate(whole, 2):
-                    try:
-                        proof._take(record)
-                    except ValueError as error:
-                        raise ValueError(f"{path}: line {line}: {error}; give another --cache") from None
+            for line, record in enumerate(whole or (), 2):
+                try:
+                    proof._take(record)
+                except ValueError as error:
+                    raise ValueError(f"{path}: line {line}: {error}; give another --cache") from None
+            if whole is not None:
                 with path.open("r+b") as stream:
                     stream.truncate(end)
             yield proof
@@ -77,7 +77,13 @@ class ProofFile:
             If it does not add up, or its block has one already.
         """
         self._take(record)
-        _append(self.path, record, None)
+        lines = [record]
+        if not self.path.exists() or not self.path.stat().st_size:
+            lines.insert(0, {"schema": SCHEMA, "version": VERSION, **self.plan.header()})
+        with self.path.open("ab") as stream:
+            stream.write(b"".join(json.dumps(line).encode() + b"\n" for line in lines))
+            stream.flush()
+            os.fsync(stream.fileno())
 
     def _take(self, record: Mapping[str, Any]) -> None:
         """Add a record that is on disk, or will be."""
@@ -120,11 +126,15 @@ def _read(path: Path, plan: BlockPlan) -> tuple[list[dict[str, Any]], int]:
     return lines[1:], end
 
 
-def _append(path: Path, line: Mapping[str, Any], at: int | None) -> None:
-    with path.open("ab" if at is None else "wb") as stream:
-        stream.write(json.dumps(line).encode() + b"\n")
-        stream.flush()
-        os.fsync(stream.fileno())
+@contextmanager
+def _left_out_if(made: bool, folder: Path) -> Iterator[None]:
+    """Remove a folder at the end if it was made here and is empty."""
+    try:
+        yield
+    finally:
+        if made:
+            with suppress(OSError):  # it holds a proof
+                folder.rmdir()
 
 
 @contextmanager

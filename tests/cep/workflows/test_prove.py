@@ -4,9 +4,11 @@ import json
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import bench_work
+import numpy as np
 import pytest
 from emulators.cluster import cluster_in, killing_one
 
@@ -15,6 +17,7 @@ from cep.search.exhaustive.block_proof import plan_blocks
 from cep.search.exhaustive.exact import exact
 from cep.search.exhaustive.proof_file import FILE_NAME
 from cep.search.problem import SearchProblem
+from cep.search.recipe import prove_code
 from cep.workflows import prove as module
 from cep.workflows.prove import prove
 
@@ -185,3 +188,19 @@ def test_a_block_that_fails_ends_the_run_and_the_others_stay(tmp_path, monkeypat
     with pytest.raises(RuntimeError, match="block 1: bound: too low; finished blocks are kept"):
         prove(PROBLEM, folder=tmp_path)
     assert len(lines(tmp_path)) == 2
+
+
+def test_a_run_that_judges_no_block_leaves_nothing(tmp_path, monkeypatch):
+    def unanswered(*_arguments, **_options):
+        raise ValueError("dask: no scheduler answers")
+
+    monkeypatch.setattr(module, "run_tasks", unanswered)
+    with pytest.raises(ValueError, match="no scheduler answers"):
+        prove(PROBLEM, folder=tmp_path / "new", dask="tcp://127.0.0.1:1")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_codes_of_a_proof_in_blocks_are_those_that_it_accounts_for(tmp_path):
+    plan = plan_blocks(PROBLEM)
+    found = prove_code(PROBLEM, rng=np.random.default_rng(0), count=partial(prove, folder=tmp_path), threads=1)
+    assert (found.stopped, found.steps) == ("proven", plan.codes)
