@@ -30,6 +30,7 @@ __all__ = [
     "better_neighbours",
     "grid_claims",
     "null_threshold",
+    "with_proven_zero",
     "zeros_by_direction",
 ]
 
@@ -157,6 +158,20 @@ class Audit:
         }
 
 
+def with_proven_zero(code: ShutterCode, along: Trajectory | None, metrics: CodeMetrics) -> CodeMetrics:
+    """Return the figures of a code, its noise gains infinite where a straight motion has a proven zero within the band.
+
+    The samples of the band miss the line of the zero, whose share of 1/|H|^2 has no bound.
+    """
+    if (
+        along is not None
+        or metrics.min_mtf >= _NO_LIGHT * code.duty
+        or not zeros_by_direction(code, None)["both"].found
+    ):
+        return metrics
+    return replace(metrics, noise_gain_db=math.inf, dnf_db=math.inf)
+
+
 def audit(
     code: ShutterCode,
     trajectory: Trajectory | None = None,
@@ -211,9 +226,7 @@ def audit(
     progress(0.1, "proving the minimum")
     certificate = certify(code, along)
     zeros = zeros_by_direction(code, along)
-    if along is None and zeros["both"].found and metrics.min_mtf < _NO_LIGHT * code.duty:
-        # the samples of the band miss the line of the zero, whose share of 1/|H|^2 has no bound
-        metrics = replace(metrics, noise_gain_db=math.inf, dnf_db=math.inf)
+    metrics = with_proven_zero(code, along, metrics)
     grids = grid_claims(code, along, certificate.upper)
     progress(0.5, "looking at neighbours")
     neighbours = better_neighbours(code, along, flips=far)

@@ -356,7 +356,7 @@ def _number(document: Mapping[str, Any], name: str, low: float, high: float, uni
     if value is None or value == "":
         return None
     if not _is_number(value) or not low <= value <= high:
-        raise FieldError(name, f"must be a number within {low:g} to {high:g} {unit}")
+        raise FieldError(name, f"must be a number within {low:,.10g} to {high:,.10g} {unit}")
     return float(value)
 
 

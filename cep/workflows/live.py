@@ -19,6 +19,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.plots.codes import main_axis
+from cep.proofs.audit import with_proven_zero
 from cep.proofs.measure import CodeMetrics
 from cep.restoration.wiener import wiener
 from cep.search.expected import ExpectedPsnr
@@ -111,7 +112,8 @@ class LiveBench:
         ValueError
             If it has another number of chips.
         """
-        metrics = self.problem.measure(code, budget=_BUDGET)
+        along = None if self.problem.on_circle else self.problem.scenarios[0].trajectory
+        metrics = with_proven_zero(code, along, self.problem.measure(code, budget=_BUDGET))
         modulus = np.abs(coded_sum(self._rows, code.array[None])[0]).astype(np.float64)
         return LiveFigures(metrics, modulus[:_CURVE], modulus[_CURVE:].reshape(MAP_ROWS, MAP_COLUMNS))
 

@@ -158,13 +158,18 @@ export function drawGains(svg, advice) {
   const here = place.px(Math.log10(advice.photons));
   svg.append(make("line", { class: "here", x1: here, x2: here, y1: EDGE.top, y2: place.height - EDGE.bottom }));
   svg.append(make("text", { x: here + 0.4 * place.em, y: place.height - EDGE.bottom - 0.5 * place.em }, "your light"));
+  const names = []; // where they stand: none covers another
   for (const [kind, [colour, name]] of Object.entries(WAYS)) {
     const points = levels.map((one, i) => [light[i], one.gains_db[kind]]).filter(([, gain]) => Number.isFinite(gain)).map(([a, b]) => [place.px(a), place.py(b)]);
     if (!points.length) continue;
     svg.append(make("path", { class: `curve ${colour}`, d: line(points) }));
     for (const [cx, cy] of points) svg.append(make("circle", { class: `marker curve ${colour}`, cx, cy, r: 3 }));
     const [x, y] = points.at(-1);
-    svg.append(make("text", { x: x - 0.4 * place.em, y: y - 0.7 * place.em, "text-anchor": "end" }, name));
+    const right = x - 0.4 * place.em, left = right - 0.55 * place.em * name.length;
+    let baseline = y - 0.7 * place.em;
+    while (names.some((one) => one.left < right && left < one.right && Math.abs(one.baseline - baseline) < 1.1 * place.em)) baseline += 0.3 * place.em;
+    names.push({ left, right, baseline });
+    svg.append(make("text", { x: right, y: baseline, "text-anchor": "end" }, name));
   }
   svg.setAttribute("aria-label", `Expected gain by light. ${advice.where}`);
 }

@@ -54,15 +54,20 @@ function complain(error, fields = []) {
   const box = document.querySelector(`.error[data-for~="${CSS.escape(error.field)}"]`) ?? document.querySelector('.error[data-for~="page"]');
   box.textContent = sentence(error.message);
   box.dataset.by = fields.join(" ");
-  $(error.field)?.setAttribute?.("aria-invalid", "true");
+  for (const input of inputsOf(error.field)) input.setAttribute("aria-invalid", "true");
 }
 
 function calm(by) {
   for (const box of document.querySelectorAll(".error")) {
     if (box.dataset.by !== by || !box.textContent) continue;
     box.textContent = "";
-    for (const name of box.dataset.for.split(" ")) $(name)?.removeAttribute?.("aria-invalid");
+    for (const name of box.dataset.for.split(" ")) for (const input of inputsOf(name)) input.removeAttribute("aria-invalid");
   }
+}
+
+/** Inputs that set a field: two for the range of open chips. */
+function inputsOf(field) {
+  return (field === "open" ? ["open-low", "open-high"] : [field]).map($).filter(Boolean);
 }
 
 function sentence(text) {
@@ -223,6 +228,7 @@ function change(part, { recorded = false } = {}) {
   const before = state;
   state = { ...state, ...part };
   keepAddress();
+  if (before.bits !== state.bits || before.exposure !== state.exposure) $("played").hidden = true; // of another code
   fill();
   if (JSON.stringify(settingOf(before)) !== JSON.stringify(settingOf(state)) || before.photo !== state.photo || ["view", "left", "right"].some((name) => before[name] !== state[name])) follow();
   else followPins();
@@ -506,7 +512,7 @@ function played(found) {
   if (found.edges_ns.length) {
     said.push(`Its ${found.edges_ns.length} edges as played are under the strip.`);
     drawPlayed($("played"), found.edges_ns, shown.code.chip_ns * shown.code.chips);
-    $("played").scrollIntoView({ block: "nearest" });
+    $("played").scrollIntoView({ block: "center" }); // with the strip above it
   }
   $("play-line").textContent = said.map(sentence).join(" ");
 }
@@ -602,6 +608,7 @@ const number = (id) => ($(id).value.trim() === "" ? null : Number($(id).value));
 const on = (id, event, does) => $(id).addEventListener(event, does);
 
 function pinCode(name, bits) {
+  if (state.pins.some((pin) => pin.bits === bits)) return; // once is enough
   let free = name;
   for (let i = 2; state.pins.some((pin) => pin.name === free); i++) free = `${name} ${i}`;
   change({ pins: [...state.pins, { name: free.replaceAll("=", " "), bits }].slice(-10) });

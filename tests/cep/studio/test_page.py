@@ -123,6 +123,31 @@ def test_a_click_a_drag_and_keys_change_the_code_and_the_address(studio):
     shown(page)
 
 
+def test_what_was_played_is_shown_until_the_code_changes(studio):
+    page = studio(state="code=1101000111010110&motion=straight:16:0")
+    page.locator("#play").click()
+    until(page, "!document.getElementById('played').hidden")
+    assert page.locator("#played svg").get_attribute("aria-label").startswith("10 edges")
+    assert page.locator("#strip").evaluate("strip => strip.getBoundingClientRect().top >= 0")
+    chip(page, 3).click()
+    assert page.locator("#played").is_hidden()
+    shown(page)
+
+
+def test_both_ends_of_a_wrong_range_are_marked_and_a_code_is_pinned_once(studio):
+    page = studio(state="code=1101000111010110&motion=straight:16:0")
+    page.locator("#pin").click()
+    page.locator("#pin").click()
+    assert address(page).count("pin=") == 1
+    page.locator("#open-low").fill("60")
+    until(page, "document.querySelector('.error[data-for=open]').textContent !== ''")
+    assert [page.locator(f"#open-{end}").get_attribute("aria-invalid") for end in ("low", "high")] == ["true", "true"]
+    page.locator("#open-low").fill("6")
+    until(page, "document.querySelector('.error[data-for=open]').textContent === ''")
+    assert page.locator("#open-low").get_attribute("aria-invalid") is None
+    shown(page)
+
+
 def test_the_last_open_chip_stays(studio):
     page = studio(state="code=0100&motion=straight:16:0")
     chip(page, 2).click()
