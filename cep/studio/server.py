@@ -167,14 +167,14 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
         return JSONResponse({"photo": await studio.uploads.photo(request.stream(), suffix=suffix)})
 
     async def upload_document(request: Request) -> Response:
-        file = await studio.uploads.text(request.stream(), ".json")
+        file = await studio.uploads.text(request.stream(), ".json", field="open_file")
         try:
             return JSONResponse(await studio.quickly(opened_document, file))
         finally:
             file.unlink(missing_ok=True)
 
     async def upload_gyro(request: Request) -> Response:
-        file = await studio.uploads.text(request.stream(), ".csv")
+        file = await studio.uploads.text(request.stream(), ".csv", field="gyro")
         try:
             return JSONResponse(await studio.quickly(opened_gyro, file, dict(request.query_params)))
         finally:

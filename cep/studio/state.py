@@ -17,7 +17,7 @@ from cep.io.formatting import seconds_of
 from cep.workflows.catalogue import example_motion
 from cep.workflows.shutter import shutter_profile
 
-__all__ = ["MOST_CHIPS", "FieldError", "Setting", "path_fields", "read_setting"]
+__all__ = ["MOST_CHIPS", "FieldError", "Setting", "disk_error", "path_fields", "read_setting"]
 
 MOST_CHIPS = 512
 _MOST_SAMPLES = 512  # of a path in the address
@@ -68,6 +68,14 @@ class FieldError(ValueError):
         if first in _FIELD_OF:
             return cls(_FIELD_OF[first], rest if colon and " " not in head else str(error))
         return cls(fallback, str(error))
+
+
+def disk_error(field: str, error: OSError) -> FieldError:
+    """Return what to say beside a field where the studio's own folder cannot be written."""
+    reason = (error.strerror or str(error)).lower()
+    return FieldError(
+        field, f"the studio's folder cannot be written ({reason}); free space there, or set TMPDIR and start it again"
+    )
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 
 from cep.io.images import RAW_SUFFIXES
-from cep.studio.state import FieldError
+from cep.studio.state import FieldError, disk_error
 
 __all__ = ["Uploads"]
 
@@ -49,7 +49,7 @@ class Uploads:
         Raises
         ------
         FieldError
-            If it is no PNG, JPEG, TIFF or WebP file and not named as a RAW file is.
+            If it is no PNG, JPEG, TIFF or WebP file and not named as a RAW file is, or the disk is full.
         """
         kind = suffix.lower() if suffix.lower() in RAW_SUFFIXES else None
         key = secrets.token_hex(16)
@@ -60,27 +60,36 @@ class Uploads:
             if kind is None:
                 raise FieldError("photo", "a photo is a PNG, JPEG, TIFF, WebP or RAW file; this file is none of them")
             self._photos[key] = partial.rename(self.folder / f"{key}{kind}")
+        except OSError as error:
+            raise disk_error("photo", error) from None
         finally:
             partial.unlink(missing_ok=True)
         while len(self._photos) > _KEPT:
             self._forget(next(iter(self._photos)))
         return key
 
-    async def text(self, chunks: AsyncIterator[bytes], suffix: str) -> Path:
-        """Keep a text for as long as it is read; the caller removes it."""
+    async def text(self, chunks: AsyncIterator[bytes], suffix: str, *, field: str) -> Path:
+        """Keep a text for as long as it is read; the caller removes it. An error is one of the field."""
         partial = self.folder / f"{secrets.token_hex(16)}{suffix}"
         try:
             await _streamed(chunks, partial)
-        except BaseException:
+        except BaseException as error:
             partial.unlink(missing_ok=True)
+            if isinstance(error, OSError):
+                raise disk_error(field, error) from None
             raise
         return partial
 
     def add(self, content: bytes, suffix: str) -> str:
         """Keep a photo that the server made."""
         key = secrets.token_hex(16)
-        self._photos[key] = self.folder / f"{key}{suffix}"
-        self._photos[key].write_bytes(content)
+        file = self.folder / f"{key}{suffix}"
+        try:
+            file.write_bytes(content)
+        except OSError as error:
+            file.unlink(missing_ok=True)
+            raise disk_error("photo", error) from None
+        self._photos[key] = file
         return key
 
     def path(self, key: object) -> Path:

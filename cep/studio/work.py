@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from cep.io.files import plain
-from cep.studio.state import FieldError, path_fields, read_setting
+from cep.studio.state import FieldError, disk_error, path_fields, read_setting
 
 __all__ = ["KINDS", "Kind", "run"]
 
@@ -124,7 +124,10 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
         photo, small, (height, width) = read_detail(path, side_px=_SEARCHED_PX, preview_px=_PREVIEW_PX)
     except ValueError as error:  # its name is the server's, and says nothing
         raise FieldError("photo", str(error).replace(f"{path}: ", "").replace(str(path), "the photo")) from None
-    path.with_name(f"{path.stem}_preview.jpg").write_bytes(encode_image(small, ".jpg"))
+    try:
+        path.with_name(f"{path.stem}_preview.jpg").write_bytes(encode_image(small, ".jpg"))
+    except OSError as error:
+        raise disk_error("photo", error) from None
     pixels, notes = photo.pixels, list(photo.warnings)
     if pixels.shape[:2] != (height, width):
         notes.append(
@@ -139,7 +142,10 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
         raise FieldError("photo", str(error).removeprefix("photo: ")) from None
     tell(0.85, "restoring a part of the photo")
     scene = sharpen(_middle(pixels, _SCENE_PX).astype(np.float64), found)
-    np.save(path.with_name(f"{path.stem}_scene.npy"), np.clip(scene.image, 0, 1).astype(np.float32))
+    try:
+        np.save(path.with_name(f"{path.stem}_scene.npy"), np.clip(scene.image, 0, 1).astype(np.float32))
+    except OSError as error:
+        raise disk_error("photo", error) from None
     paths = [
         {"weight": weight, "length_px": one.length_px, "extent_px": one.extent_px, **path_fields(one)}
         for weight, one in zip(found.weights, found.trajectories, strict=True)

@@ -5,6 +5,7 @@ import socket
 
 import numpy as np
 import pytest
+from full_disk import full_disk
 from hostile_requests import hostile
 from starlette.requests import ClientDisconnect
 
@@ -227,8 +228,24 @@ def test_half_an_upload_leaves_nothing(kind):
     uploads = Uploads()
     try:
         with pytest.raises(ClientDisconnect):
-            asyncio.run(uploads.photo(half()) if kind == "photo" else uploads.text(half(), ".json"))
+            asyncio.run(uploads.photo(half()) if kind == "photo" else uploads.text(half(), ".json", field="open_file"))
         assert list(uploads.folder.iterdir()) == []
     finally:
         uploads.close()
     assert not uploads.folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("address", "field"),
+    [("upload/photo", "photo"), ("upload/document", "open_file"), ("upload/gyro", "gyro"), ("example-photo", "photo")],
+)
+def test_a_full_disk_is_told_beside_the_field_and_leaves_nothing(client, monkeypatch, address, field):
+    folder = client.app.state.studio.uploads.folder
+    before = set(folder.iterdir())
+    with full_disk(monkeypatch, writes=0):
+        answer = client.post(f"/api/{address}", content=encode_image(np.full((20, 20), 0.5), ".png"))
+    assert answer.status_code == 422
+    error = answer.json()["error"]
+    assert error["field"] == field
+    assert error["message"].startswith("the studio's folder cannot be written (no space left on device); free space")
+    assert set(folder.iterdir()) == before
