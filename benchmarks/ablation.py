@@ -70,6 +70,8 @@ def measured(config: TrainingConfig, folder: Path) -> np.ndarray:
     """Train a row, and score it on held-out photos with motions of their own."""
     short = replace(config, data=replace(config.data, validation=1))  # scored below, not twice
     trainer = train(short, folder, pace=Pace(validate_steps=config.optimiser.steps))
+    if trainer.step < config.optimiser.steps:
+        raise SystemExit(f"stopped at step {trainer.step} of {config.optimiser.steps}; the same command goes on")
     scored = replace(config, data=replace(config.data, validation=_VALIDATION))
     return validation_scores(trainer, make_sources(scored).validation)
 
