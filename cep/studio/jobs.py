@@ -82,6 +82,8 @@ class Jobs:
         self._job: Job | None = None
         self._listeners: dict[str, set[asyncio.Queue[Job | None]]] = {}
         self._leaving: dict[str, asyncio.TimerHandle] = {}
+        self._loop: asyncio.AbstractEventLoop | None = None  # of the listeners
+        self.closing = False
 
     def warm(self) -> None:
         """Load the library in the helper, ahead of the first job."""
@@ -142,6 +144,7 @@ class Jobs:
         """Return a queue of what happens to a page's job, beginning with what is."""
         if (timer := self._leaving.pop(page, None)) is not None:
             timer.cancel()
+        self._loop = asyncio.get_running_loop()
         queue: asyncio.Queue[Job | None] = asyncio.Queue()
         self._listeners.setdefault(page, set()).add(queue)
         queue.put_nowait(self.current(page))
@@ -154,6 +157,17 @@ class Jobs:
         if not listeners:
             self._listeners.pop(page, None)
             self._leaving[page] = asyncio.get_running_loop().call_later(_GRACE_S, self._left, page)
+
+    def dismiss(self) -> None:
+        """Let every listener know that nothing more comes; may be called in a signal's handler."""
+        self.closing = True
+        if self._loop is not None:
+            self._loop.call_soon_threadsafe(self._wake)
+
+    def _wake(self) -> None:
+        for queues in self._listeners.values():
+            for queue in queues:
+                queue.put_nowait(None)
 
     def close(self) -> None:
         """End the job."""

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from importlib import resources
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -261,11 +262,20 @@ def serve(
 
     bound = bound_socket(port)
     keys = Keys(bound.getsockname()[1])
+    app = make_app(keys, opened=opened)
     config = uvicorn.Config(
-        make_app(keys, opened=opened), log_level="error", access_log=False, server_header=False, date_header=False,
+        app, log_level="error", access_log=False, server_header=False, date_header=False,
         timeout_graceful_shutdown=1, h11_max_incomplete_event_size=64 * 1024, ws="none",
     )  # fmt: skip
-    server = uvicorn.Server(config)
+
+    class Server(uvicorn.Server):
+        """Ends the streams of news when it is asked to stop: it would wait for them and break them off."""
+
+        def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+            app.state.studio.jobs.dismiss()
+            super().handle_exit(sig, frame)
+
+    server = Server(config)
     bound.listen(64)
     on_ready(keys.address)
     with bound, suppress(KeyboardInterrupt):
@@ -329,6 +339,8 @@ async def _events(jobs: Jobs, page: str) -> AsyncIterator[str]:
             except TimeoutError:
                 yield ": beat\n\n"
                 continue
+            if jobs.closing:
+                return
             while not queue.empty():  # only the latest state counts
                 job = queue.get_nowait()
             yield f"data: {json.dumps(None if job is None else job.to_dict())}\n\n"

@@ -1,5 +1,6 @@
 """The studio in a headless Chromium: what a hand, a keyboard and a reload do, and nothing asked of anybody else."""
 
+import http.client
 import json
 import re
 import signal
@@ -87,6 +88,28 @@ def bits(page):
 
 def chip(page, number):
     return page.locator("#strip button").nth(number - 1)
+
+
+def test_ctrl_c_ends_it_without_a_word_while_a_page_listens():
+    command = [sys.executable, "-c", "from cep.cli.main import run; run()", "studio", "--no-browser", "--json"]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    told = ""
+    while not told.rstrip().endswith("}"):
+        told += server.stdout.readline()
+    home = urlsplit(json.loads(told)["address"])
+    first = http.client.HTTPConnection(home.netloc, timeout=60)
+    first.request("GET", f"/?{home.query}")
+    cookie = first.getresponse().getheader("set-cookie").split(";")[0]
+    stream = http.client.HTTPConnection(home.netloc, timeout=60)
+    stream.request("GET", "/api/events?page=0123456789", headers={"cookie": cookie})
+    news = stream.getresponse()
+    assert news.readline() == b"data: null\n"
+    server.send_signal(signal.SIGINT)
+    assert server.wait(60) == 0
+    assert news.read().strip() == b""  # it was ended, not broken off
+    assert server.stderr.read() == ""
+    for one in (first, stream, server.stdout, server.stderr):
+        one.close()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
