@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 
 _DECODED, _ORDERS, _WALKS = 64, 48, 48
 _POPULATION, _KEPT, _PARENTS = 8, 10, 4
-_ROUNDS, _FINE_ROUNDS, _STILL = 6, 3, 2
+_ROUNDS, _STILL = 6, 2
 _IMPROVED = 0.98
 
 # the search beside the photos alone
@@ -67,12 +67,16 @@ def find_paths(
     search = _Search(exposures, spectra, rng, spend=lambda share: told.spend(share * cost))
     x = search.from_kernels()
     if spectra and len(exposures.codes) == _FEW_PHOTOS:
-        return _found_widely(search, spectra, known=search.paths(x), spend=search.spend)
+        return _found_widely(search, spectra, known=search.paths(x), most=_MOST_SEARCHES, spend=search.spend)
     found, times = search.run(x), 1
-    if found[0].misfit > _DOUBTFUL:
+    for most in (1, _MOST_SEARCHES):  # what one search finds and three photos bear out needs no other
+        if not found[0].misfit > _DOUBTFUL:
+            break
         told.expect_more(2 * cost)
         known = np.stack([path.path for path in found])
-        other, again = _found_widely(search, spectra, known=known, spend=lambda share: told.spend(2 * share * cost))
+        other, again = _found_widely(
+            search, spectra, known=known, most=most, spend=lambda share: told.spend(2 * share * cost)
+        )
         if other[0].misfit < found[0].misfit:
             found, times = other, again
     return found, times
@@ -112,15 +116,14 @@ class _Search(PhotoFit):
         coarse: list[Term] = [*self.scenes[:1], self.sharpest, self.loose]
         x, costs = self.best(coarse, x, steps=6, keep=_POPULATION)
         self.spend(0.25)
-        x, costs = self._evolved(coarse, x, costs, rounds=_ROUNDS, steps=5, keep=_KEPT, share=0.4)
+        x, costs = self._evolved(coarse, x, costs)
         if not self.scenes:
             x, costs = self.best(coarse, x[:3], steps=20, keep=3)
-            self.spend(0.35)
+            self.spend(0.25)
             return self._described(coarse, x, costs)
-        fine: list[Term] = [self.scenes[1], self.sharpest, self.stiff]
-        x, costs = self.best(fine, x[:6], steps=6, keep=6)
-        x, costs = self._evolved(fine, x, costs, rounds=_FINE_ROUNDS, steps=4, keep=5, share=0.2)
-        return self._ended(x[:3])
+        x, costs = self.best([self.scenes[1], self.sharpest, self.stiff], x[:6], steps=6, keep=3)
+        self.spend(0.1)
+        return self._ended(x)
 
     def finished(self, paths: FloatArray) -> list[FoundPath]:
         """Paths that others (B, K, 2) become beside the photos' finest details, best first."""
@@ -140,26 +143,20 @@ class _Search(PhotoFit):
             rng=self.rng, shifts=shifts,
         )  # fmt: skip
 
-    def _evolved(
-        self, terms: Sequence[Term], x: Tensor, costs: Tensor, *,
-        rounds: int, steps: int, keep: int, share: float,
-    ) -> tuple[Tensor, Tensor]:  # fmt: skip
+    def _evolved(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> tuple[Tensor, Tensor]:
         """Cross the best candidates with each other and with decoded paths, and reverse their loops, while it helps."""
         still = 0
-        for done in range(rounds):
+        for done in range(_ROUNDS):
             new = self.pack(np.stack(self._children(x)))
             new, _ = descend([self.coarse_kernels[2.5], self.loose], new, steps=3)
-            new, _ = self.best([self.coarse_kernels[1.5], self.loose], new, steps=4, keep=keep)
-            new = self.registered(new)
-            if self.scenes and self.scenes[0] not in terms:
-                new, _ = descend([self.scenes[0], self.sharpest, self.loose], new, steps=3)
-            new, reached = descend(terms, new, steps=steps)
+            new, _ = self.best([self.coarse_kernels[1.5], self.loose], new, steps=4, keep=_KEPT)
+            new, reached = descend(terms, self.registered(new), steps=5)
             before = float(costs.min())
             x, costs = self.distinct(torch.cat([x, new]), torch.cat([costs, reached]), keep=_POPULATION)
             still = 0 if float(costs[0]) < _IMPROVED * before else still + 1
-            self.spend(share / rounds)
+            self.spend(0.5 / _ROUNDS)
             if still == _STILL:
-                self.spend(share * (rounds - 1 - done) / rounds)
+                self.spend(0.5 * (_ROUNDS - 1 - done) / _ROUNDS)
                 break
         return x, costs
 
@@ -186,10 +183,10 @@ class _Search(PhotoFit):
 
 
 def _found_widely(
-    search: _Search, spectra: Sequence[SceneSpectra], *, known: FloatArray, spend: Callable[[float], None]
+    search: _Search, spectra: Sequence[SceneSpectra], *, known: FloatArray, most: int, spend: Callable[[float], None]
 ) -> tuple[list[FoundPath], int]:
     """Paths of the search beside the photos alone, best first, and how many of its searches ended at the best."""
-    wide, times = _widely_searched(search.exposures, spectra, search.rng, known=known, spend=spend)
+    wide, times = _widely_searched(search.exposures, spectra, search.rng, known=known, most=most, spend=spend)
     found = search.finished(wide)
     apart = found[0].path - wide[0]
     moved_px = np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean())
@@ -198,26 +195,26 @@ def _found_widely(
 
 def _widely_searched(
     exposures: Exposures, spectra: Sequence[SceneSpectra], rng: np.random.Generator, *,
-    known: FloatArray, spend: Callable[[float], None],
+    known: FloatArray, most: int, spend: Callable[[float], None],
 ) -> tuple[FloatArray, int]:  # fmt: skip
     """Search beside the photos alone, from known paths (N, K, 2) and random walks.
 
-    Searches are repeated, the later ones from walks alone, until two of them end at one path.
+    Searches are repeated, the later ones from walks alone, until two of them end at one path, ``most`` times at most.
 
     Returns
     -------
     (M, K, 2) best paths, and how many searches ended at the first
     """
     fit = PhotoFit(exposures, spectra, knots=_FEW_KNOTS)
-    share = 0.85 / _MOST_SEARCHES
+    share = 0.85 / most
     begun = _with_knots(known, _FEW_KNOTS)
     ends: list[tuple[Tensor, Tensor]] = []
-    for done in range(1, _MOST_SEARCHES + 1):
+    for done in range(1, most + 1):
         ends.append(_wide_search(fit, begun, rng, spend=lambda part: spend(share * part)))
         begun = begun[:0]
         x, _, times = merged(fit.unknowns, ends, keep=_KEPT_OF_WIDE, same_px=_SAME_PX)
         if times > 1:
-            spend(share * (_MOST_SEARCHES - done))
+            spend(share * (most - done))
             break
     return _with_knots(fit.paths(x), KNOTS), times
 
