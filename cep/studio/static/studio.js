@@ -6,8 +6,9 @@ import { drawCurves, drawGains, drawMap, drawOnPhoto, drawPath, drawPlayed } fro
 
 const $ = (id) => document.getElementById(id);
 const page = named("studio-page", () => crypto.randomUUID().replaceAll("-", ""));
-const late = remembered("studio-late"); // an address that was not written before the page was loaded again
-let state = fromAddress(late?.from === location.hash ? late.to : location.hash);
+// a page that is loaded again goes on from its last change, which its address may not have yet
+const reloaded = performance.getEntriesByType("navigation")[0]?.type === "reload" ? remembered("studio-address") : null;
+let state = fromAddress(reloaded ?? location.hash);
 let revision = 0, shown = null, judged = null, advice = remembered("studio-advice"), openMap = null, estimate = remembered("studio-estimate"), job = null, known = null;
 const past = [], future = [];
 const strip = new Strip($("strip"), (bits, done) => {
@@ -238,7 +239,7 @@ function change(part, { recorded = false } = {}) {
 let addressTimer = null, written = location.hash;
 function keepAddress() {
   addressTimer ??= setTimeout(writeAddress, 150);
-  remember("studio-late", { from: written, to: toAddress(state) }); // should the page be loaded again before
+  remember("studio-address", toAddress(state));
   document.body.dataset.address = "late";
 }
 
@@ -246,7 +247,6 @@ function writeAddress() {
   clearTimeout(addressTimer);
   addressTimer = null;
   delete document.body.dataset.address;
-  remember("studio-late", null);
   if (location.hash !== written) return; // somebody has just typed another one
   history.replaceState(null, "", toAddress(state));
   written = location.hash;
@@ -735,7 +735,7 @@ function wire() {
     $("copy").textContent = "Copied";
     setTimeout(() => { $("copy").textContent = "Copy address"; }, 1200);
   });
-  addEventListener("hashchange", () => { written = location.hash; state = fromAddress(location.hash); fill(); follow(); });
+  addEventListener("hashchange", () => { written = location.hash; remember("studio-address", written); state = fromAddress(location.hash); fill(); follow(); });
   let resizing = 0;
   addEventListener("resize", () => { cancelAnimationFrame(resizing); resizing = requestAnimationFrame(() => { if (shown) draw(); if (advice) showAdvice(); drawEstimate(); }); });
 }
