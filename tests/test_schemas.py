@@ -254,6 +254,12 @@ def test_no_program_is_read_that_its_schema_refuses(changed):
     assert wrong == []
 
 
+def test_a_pattern_ends_where_the_text_ends():
+    schema = {"type": "string", "pattern": "^[01]+$"}
+    assert fault("01", schema) is None
+    assert fault("01\n", schema) is not None
+
+
 @pytest.mark.parametrize(
     ("value", "said"),
     [

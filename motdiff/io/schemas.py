@@ -27,6 +27,8 @@ KEYWORDS = _NOTES | {
 _LARGEST = 1e300
 """Limits from here on keep numbers within a double, and are named only where a number exceeds them."""
 
+_END = re.compile(r"\$$")  # in Python also before a last line feed, unlike in JSON Schema
+
 _NAMES = {
     "object": "an object", "array": "a list", "string": "a string", "number": "a number", "integer": "a whole number",
     "boolean": "true or false", "null": "null",
@@ -93,7 +95,7 @@ def _object_fault(value: Mapping[str, Any], schema: Mapping[str, Any], where: st
         if name in known:
             wrong = fault(item, known[name], where=f"{inside}{name}")
         elif others is False:
-            return f"unknown field {one_line(repr(name))}; there are {', '.join(sorted(known))}"
+            return f"unknown field {one_line(repr(inside + name))}; there are {', '.join(sorted(known))}"
         else:
             wrong = None if others is True else fault(item, others, where=f"{inside}{one_line(name)}")
         if wrong is not None:
@@ -122,7 +124,7 @@ def _holds(value: object, schema: Mapping[str, Any]) -> bool:
     if "enum" in schema and not any(_same(value, one) for one in schema["enum"]):
         return False
     if isinstance(value, str):
-        return "pattern" not in schema or re.search(schema["pattern"], value) is not None
+        return "pattern" not in schema or re.search(_END.sub(r"\\Z", schema["pattern"]), value) is not None
     if isinstance(value, list):
         return len(value) >= int(schema.get("minItems", 0))
     if isinstance(value, int | float) and not isinstance(value, bool):
