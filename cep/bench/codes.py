@@ -238,6 +238,8 @@ def write_codes_report(
     -------
     dict from a file's name to its path
     """
+    from rich.markup import escape
+
     head = [
         "# Published codes",
         "",
@@ -252,10 +254,11 @@ def write_codes_report(
         "",
     ]
     count = f"\nBetter on both: {sum(row.better for row in rows)} of {len(rows)}.\n"
+    lines = [(escape(name), *rest) for name, *rest in code_lines(rows)]
     with new_folder(folder, CODE_FILES, force=force) as made:
         texts = {
             "codes.md": "\n".join(head) + f"\n{markdown_table(CODE_HEAD, code_lines(rows))}\n{count}",
-            "codes.tex": latex([Sheet("Published codes", CODE_HEAD, code_lines(rows))]),
+            "codes.tex": latex([Sheet("Published codes", CODE_HEAD, lines)]),
             "codes.csv": _csv(rows),
             "codes.json": made_json(
                 {"codes": codes_table(rows)}, command=command, seed=seed, machines=machines, warnings=warnings

@@ -47,7 +47,12 @@ def tables_latex(tables: Sequence[Table]) -> str:
 
 
 def _sheets(tables: Sequence[Table]) -> list[Sheet]:
-    return [Sheet(table.title, table.head, table.lines(("[bold]", "[/bold]"))) for table in tables]
+    from rich.markup import escape
+
+    return [
+        Sheet(table.title, table.head, [(escape(name), *rest) for name, *rest in table.lines(("[bold]", "[/bold]"))])
+        for table in tables
+    ]
 
 
 def means_in_words(tables: Sequence[Table]) -> str:

@@ -199,14 +199,19 @@ def _finish_table(about: Mapping[str, object], part: Part, *, as_json: bool) -> 
 
 def show_tables(console: Console, tables: Sequence[Table | TextTable]) -> None:
     """Print tables for people: means, or medians, whose intervals are in the files."""
+    from rich.markup import escape
+
     from cep.bench.tables import TextTable
 
     for one in tables:
         if isinstance(one, TextTable):
-            console.print(table(one.title, one.head, one.lines))
+            console.print(table(one.title, one.head, [(escape(name), *rest) for name, *rest in one.lines]))
             console.print(one.note)
             continue
-        lines = [(label, *map(_shown, one.columns, entries), *one.sizes(label)) for label, entries in one.rows.items()]
+        lines = [
+            (escape(label), *map(_shown, one.columns, entries), *one.sizes(label))
+            for label, entries in one.rows.items()
+        ]
         console.print(table(one.title, one.head, lines, kept=1))
 
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from cep.bench.table_io import FIGURE_SUFFIXES, write_figure
+from cep.bench.table_io import FIGURE_SUFFIXES, tables_latex, tables_markdown, write_figure
+from cep.bench.tables import Column, tabulate
 from cep.plots.canvas import new_figure, show_photo
 
 
@@ -26,3 +27,11 @@ def test_the_same_figure_gives_the_same_files_at_any_time(tmp_path, monkeypatch)
     assert {path.name for path in (tmp_path / "first").iterdir()} == {"f.png", "f.pdf", "f.svg"}
     write_figure(drawn(0.6), tmp_path / "second", "f")
     assert (tmp_path / "first/f.pdf").read_bytes() != (tmp_path / "second/f.pdf").read_bytes()
+
+
+def test_brackets_in_the_name_of_a_row_stay():
+    name = "motdiff@runs[w]/a.safetensors"
+    figures = {(row, photo, 0): {"mnc": float(photo)} for row in (name, "pmp") for photo in (0, 1)}
+    table = tabulate("t", figures, [Column("mnc", "MNC", "high")], rng=np.random.default_rng(0), row=0, cluster=(1, 2))
+    assert f"| {name} |" in tables_markdown([table])
+    assert f"{name} &" in tables_latex([table])
