@@ -45,7 +45,7 @@ class Views:
     def __init__(self) -> None:
         self._benches: OrderedDict[str, LiveBench] = OrderedDict()
         self._judge: LiveBench | None = None  # of the latest verdict
-        self._own: tuple[Path, LiveScene] | None = None  # scene of the latest photo
+        self._own: tuple[Path, int, LiveScene] | None = None  # file, its time, and scene of the latest photo
         self._keeping = threading.Lock()
 
     def picture(self, setting: Setting, *, steps: int | None = None, seed: int = 0) -> dict[str, Any]:
@@ -188,9 +188,10 @@ class Views:
 
     def _scene(self, file: Path) -> LiveScene:
         with self._keeping:
-            if self._own is None or self._own[0] != file:
-                self._own = file, LiveScene(np.load(file, allow_pickle=False))
-            return self._own[1]
+            written_ns = file.stat().st_mtime_ns  # another search of the same photo writes it again
+            if self._own is None or self._own[:2] != (file, written_ns):
+                self._own = file, written_ns, LiveScene(np.load(file, allow_pickle=False))
+            return self._own[2]
 
     def _bench(self, setting: Setting) -> tuple[LiveBench, dict[str, str] | None]:
         """Return the bench of a setting, and the error of its limits where there is one: codes are measured anyway."""

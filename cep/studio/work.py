@@ -116,6 +116,7 @@ def lost_interrupts() -> Callable[[], None]:
 def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
     from cep.io.images import encode_image, read_detail
+    from cep.io.outputs import new_file, write_bytes
     from cep.workflows.sharpen import sharpen
 
     path = Path(order["path"])
@@ -125,7 +126,7 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     except ValueError as error:  # its name is the server's, and says nothing
         raise FieldError("photo", str(error).replace(f"{path}: ", "").replace(str(path), "the photo")) from None
     try:
-        path.with_name(f"{path.stem}_preview.jpg").write_bytes(encode_image(small, ".jpg"))
+        write_bytes(path.with_name(f"{path.stem}_preview.jpg"), encode_image(small, ".jpg"))
     except OSError as error:
         raise disk_error("photo", error) from None
     pixels, notes = photo.pixels, list(photo.warnings)
@@ -143,7 +144,8 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     tell(0.85, "restoring a part of the photo")
     scene = sharpen(_middle(pixels, _SCENE_PX).astype(np.float64), found)
     try:
-        np.save(path.with_name(f"{path.stem}_scene.npy"), np.clip(scene.image, 0, 1).astype(np.float32))
+        with new_file(path.with_name(f"{path.stem}_scene.npy")) as made:  # a page may read the one before
+            np.save(made, np.clip(scene.image, 0, 1).astype(np.float32))
     except OSError as error:
         raise disk_error("photo", error) from None
     paths = [

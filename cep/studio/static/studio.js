@@ -737,7 +737,7 @@ function wire() {
   });
   addEventListener("hashchange", () => { written = location.hash; remember("studio-address", written); state = fromAddress(location.hash); fill(); follow(); });
   let resizing = 0;
-  addEventListener("resize", () => { cancelAnimationFrame(resizing); resizing = requestAnimationFrame(() => { if (shown) draw(); if (advice) showAdvice(); drawEstimate(); }); });
+  addEventListener("resize", () => { cancelAnimationFrame(resizing); resizing = requestAnimationFrame(() => { if (shown) draw(); if (advice) showAdvice(); }); });
 }
 
 async function start() {

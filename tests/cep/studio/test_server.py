@@ -14,6 +14,7 @@ from cep.io.images import RAW_SUFFIXES, encode_image, read_image
 from cep.studio.server import bound_socket
 from cep.studio.state import read_setting
 from cep.studio.uploads import Uploads
+from cep.studio.views import Views
 from cep.workflows.advise import verdict
 
 
@@ -100,6 +101,14 @@ def test_photos_are_pictures_in_colour_that_differ(client, setting, tmp_path):
         pixels = read_image(tmp_path / "photo.jpg")
         assert pixels.shape == (256, 256, 3)
         assert np.ptp(pixels, axis=2).max() > 0.2  # the bundled scene has colours, and so have its photos
+
+
+def test_a_scene_that_is_written_again_is_read_again(setting, tmp_path):
+    scene, codes, views, taken = tmp_path / "scene.npy", {"code": setting["bits"]}, Views(), []
+    for level in (0.2, 0.8, 0.2):
+        np.save(scene, np.full((300, 300), level, np.float32))
+        taken.append(views.photos(read_setting(setting), scene, codes, restored=False)["code"])
+    assert taken[0] == taken[2] != taken[1]
 
 
 @pytest.mark.parametrize(
