@@ -89,8 +89,8 @@ class ExpectedPsnr:
     rng : numpy Generator, optional
         Of the paths drawn where there is such an error; of seed 0 when omitted.
     most_bytes : int
-        The chips' OTFs are kept from the first call on, in single precision, where they take at most so much memory.
-        With an error of the path, a code is then judged some 50 times as fast.
+        The chips' OTFs are computed once and kept, in single precision, where they take at most so much memory. With an
+        error of the path, a code is then judged some 50 times as fast.
 
     Raises
     ------
