@@ -77,11 +77,11 @@ class ProofFile:
             If it does not add up, or its block has one already.
         """
         self._take(record)
-        lines = [record]
+        lines: list[Mapping[str, Any]] = [record]
         if not self.path.exists() or not self.path.stat().st_size:
-            lines.insert(0, {"schema": SCHEMA, "version": VERSION, **self.plan.header()})
+            lines.insert(0, _header(self.plan))
         with self.path.open("ab") as stream:
-            stream.write(b"".join(json.dumps(line).encode() + b"\n" for line in lines))
+            stream.write(b"".join(map(_line, lines)))
             stream.flush()
             os.fsync(stream.fileno())
 
@@ -102,9 +102,19 @@ class ProofFile:
         self.records[index] = dict(record)
 
 
+def _header(plan: BlockPlan) -> dict[str, Any]:
+    return {"schema": SCHEMA, "version": VERSION, **plan.header()}
+
+
+def _line(record: Mapping[str, Any]) -> bytes:
+    return json.dumps(record).encode() + b"\n"
+
+
 def _read(path: Path, plan: BlockPlan) -> tuple[list[dict[str, Any]], int]:
     """Read the records of a plan's proof, and the length of the file's whole lines in bytes."""
     data = path.read_bytes()
+    if _line(_header(plan)).startswith(data):
+        return [], 0  # cut short before its first block was whole
     end = data.rfind(b"\n") + 1
     lines = []
     for number, line in enumerate(data[:end].splitlines(), 1):

@@ -152,6 +152,11 @@ def change(folder, number, **fields):
     (folder / FILE_NAME).write_text("".join(json.dumps(line) + "\n" for line in found))
 
 
+def test_a_file_cut_short_in_its_first_line_is_begun_anew(tmp_path):
+    (tmp_path / FILE_NAME).write_text('{"schema": "cep.proof/1", "ver')
+    assert_whole(tmp_path, prove(PROBLEM, folder=tmp_path))
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
@@ -165,6 +170,7 @@ def change(folder, number, **fields):
         (lambda folder: change(folder, 2, survivors=None), "line 3: survivors: must be a string"),
         (lambda folder: change(folder, 2, bound="2"), "line 3: bound: must be a number"),
         (lambda folder: (folder / FILE_NAME).write_text("{\n"), "line 1 is damaged"),
+        (lambda folder: (folder / FILE_NAME).write_text("notes"), "is no proof"),
     ],
 )
 def test_what_is_wrong_with_a_folder_is_refused_and_stays(tmp_path, damage, message):
