@@ -199,13 +199,16 @@ class Table:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Any]:
         """Render what fits."""
         from rich.box import SIMPLE_HEAD
+        from rich.markup import escape
         from rich.table import Table as RichTable
 
         from cep.io.tables import cell_text
 
         texts = [[cell_text(value) for value in row] for row in self.rows]
         shown, widths = self._fitted(texts, options.max_width)
-        made = RichTable(title=self.title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+        made = RichTable(
+            title=escape(self.title), title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False
+        )
         for index, width in zip(shown, widths, strict=True):
             justify: Any = "left" if index == 0 or _longest(texts, index) > _WIDE else "right"
             made.add_column(self.columns[index], justify=justify, width=width, overflow="fold")

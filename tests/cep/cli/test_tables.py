@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 from cep_tables import read_tables
 
+from cep.io.files import StoredCode, write_code
+from cep.optics.code import ShutterCode
+
 
 def test_the_comparison_of_a_search_is_written_as_latex(cep, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -47,6 +50,16 @@ def test_every_table_of_a_page_is_written(cep, tmp_path, monkeypatch, command, h
 def _elsewhere(command):
     """Another output, so that only the table is in the way."""
     return {"mtf": ("-o", "b.png"), "advise": ("-o", "b.png"), "pareto": ("-o", "b.json")}.get(command[0], ())
+
+
+def test_brackets_in_the_names_of_files_stay(cep, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_code("c[w].json", StoredCode(ShutterCode("1011")))
+    cep("mtf", "--linear", "9", "--code", "c[w].json", "-o", "m[b].png", "--table", "t.md")
+    text = Path("t.md").read_text(encoding="utf-8")
+    for part in ("m[b].png", "c[w]"):
+        assert part in cep.out
+        assert part in text
 
 
 def test_another_suffix_is_refused_before_any_work(cep, tmp_path, monkeypatch):
