@@ -89,7 +89,7 @@ class Work:
         'Raskar, Agrawal, Tumblin, Coded exposure photography, 2006'
         """
         who = self.authors if len(self.authors) <= _HALF_LINE else (f"{self.authors[0]} et al.",)
-        return ", ".join([*who, self.text("title").split(":")[0], self.text("year")])
+        return ", ".join(part for part in (*who, self.text("title").split(":")[0], self.text("year")) if part)
 
 
 @cache

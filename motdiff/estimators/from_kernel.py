@@ -65,7 +65,7 @@ def as_estimate(found: MotionEstimate | Trajectory | ArrayLike, method: str) -> 
     if isinstance(found, Trajectory):
         return MotionEstimate(method, (found,), (1.0,), found.psf(found.frame_size(PSF_PX)), confidence=0.0)
     try:
-        psf = np.asarray(found, dtype=np.float64)
+        psf = np.empty(0) if np.iscomplexobj(found) else np.asarray(found, dtype=np.float64)
     except (TypeError, ValueError):
         psf = np.empty(0)
     if psf.ndim != 2 or not np.isfinite(psf).all() or psf.min(initial=0) < 0 or not psf.any():
@@ -77,4 +77,4 @@ def as_estimate(found: MotionEstimate | Trajectory | ArrayLike, method: str) -> 
 
 
 def _kind(found: object) -> str:
-    return f"an array of shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
+    return f"{found.dtype} of shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__

@@ -29,10 +29,11 @@ def test_a_trajectory_has_its_own_psf_and_an_estimate_stays():
     [
         (None, "NoneType"),
         ({"psf": 1}, "dict"),
-        (np.zeros((9, 9)), "array of shape"),
-        (np.ones(9), "array of shape"),
-        (-np.ones((9, 9)), "array of shape"),
-        (np.full((9, 9), np.nan), "array of shape"),
+        (np.zeros((9, 9)), "float64 of shape"),
+        (np.ones(9), "float64 of shape"),
+        (-np.ones((9, 9)), "float64 of shape"),
+        (np.ones((9, 9)) + 0j, "complex128 of shape"),
+        (np.full((9, 9), np.nan), "float64 of shape"),
     ],
 )
 def test_any_other_result_is_refused_by_its_kind(found, kind):
