@@ -1,8 +1,11 @@
-"""What the benchmarks share: photos (a folder, or scikit-image's own) and a synthetic gyroscope trace."""
+"""What the benchmarks share: photos (a folder, or scikit-image's own), a gyroscope trace, results of an ended run."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,3 +37,13 @@ def smooth_trace(rng: np.random.Generator, *, duration_s: float, rate_hz: float)
     spectrum = rng.standard_normal((2, 3, freq_hz.size)) * np.exp(-freq_hz / 4) * (freq_hz > 0.5)
     rate = np.fft.irfft(spectrum[0] + 1j * spectrum[1], count, axis=1).T
     return GyroTrace(np.arange(count) / rate_hz, 0.1 * rate / rate.std(axis=0))
+
+
+def kept_rows(file: Path) -> Iterator[dict[str, Any]]:
+    """Rows of a file of JSON lines; a line that was cut short when a run ended is left out."""
+    for line in file.read_text(encoding="utf-8").splitlines():
+        try:
+            row = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        yield row

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from _inputs import kept_rows
 
 from cep.bench.statistics import mean_interval
 from motdiff.training.config import DataConfig, TrainingConfig, read_config
@@ -78,9 +79,8 @@ def measured(config: TrainingConfig, folder: Path) -> np.ndarray:
 
 def read_rows(file: Path, *, samples: int) -> Scores:
     """Read the finished rows of a budget."""
-    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    found = [json.loads(line) for line in lines]
-    return {(row["seed"], row["row"]): np.array(row["mnc"]) for row in found if row["samples"] == samples}
+    found = [row for row in kept_rows(file) if row["samples"] == samples] if file.exists() else []
+    return {(row["seed"], row["row"]): np.array(row["mnc"]) for row in found}
 
 
 def table(scores: Scores) -> Iterator[str]:

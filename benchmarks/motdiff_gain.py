@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from _inputs import kept_rows
 
 from cep.bench.blind.cases import make_case
 from cep.bench.blind.protocol import Protocol
@@ -242,8 +243,7 @@ def read_rows(files: Iterable[Path]) -> list[dict]:
     """Rows of files; lines of one photo are one row."""
     rows: dict[tuple[Path, str], dict] = {}
     for file in files:
-        for line in file.read_text(encoding="utf-8").splitlines():
-            row = json.loads(line)
+        for row in kept_rows(file):
             rows.setdefault((file, row["name"]), {}).update(row)
     return list(rows.values())
 

@@ -28,7 +28,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from _inputs import photos, smooth_trace
+from _inputs import kept_rows, photos, smooth_trace
 from numpy.typing import NDArray
 
 from cep.bench.coded.calibrations import codes_of_set, moved_psfs
@@ -203,15 +203,7 @@ def is_right(row: dict[str, object]) -> bool:
 
 def finished(file: Path | None) -> dict[str, dict[str, object]]:
     """Figures by their case, from the whole lines of a file of results."""
-    rows = {}
-    if file is not None and file.exists():
-        for line in file.read_text().splitlines():
-            try:
-                row = json.loads(line)
-            except json.JSONDecodeError:  # the run was ended while it wrote
-                continue
-            rows[key(row.pop("case"))] = row
-    return rows
+    return {key(row.pop("case")): row for row in kept_rows(file)} if file is not None and file.exists() else {}
 
 
 def key(case: object) -> str:

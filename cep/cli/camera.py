@@ -74,7 +74,7 @@ def _show(console: Console, found: Camera) -> None:
         ("least exposure, s", f"{found.least_exposure_s:g}" if found.least_exposure_s else None),
     ]
     console.print(table(found.name, ("", ""), rows))
-    console.print(f"source: {found.source or 'not stated'}", markup=False)
+    console.print(f"source: {found.source or 'not stated'}")
 
 
 @camera.command("estimate")

@@ -62,6 +62,6 @@ def cite(
         if output is None:
             typer.echo(found.bibtex, nl=False)
         else:
-            console.print(f"{output}: {len(found.works)} entries", markup=False)
+            console.print(f"{output}: {len(found.works)} entries")
 
     finish(result, as_json=as_json, show=page)

@@ -69,10 +69,10 @@ def finish(
         return
     from rich.console import Console
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, soft_wrap=True, markup=False)  # names may have brackets
     show(console)
     if tables is not None:
-        console.print(f"{tables}: the tables", markup=False)
+        console.print(f"{tables}: the tables")
     warnings = result.get("warnings", ())
     for warning in warnings if isinstance(warnings, Sequence) else ():
         warn(str(warning))
@@ -199,21 +199,21 @@ class Table:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Any]:
         """Render what fits."""
         from rich.box import SIMPLE_HEAD
-        from rich.markup import escape
         from rich.table import Table as RichTable
+        from rich.text import Text
 
         from cep.io.tables import cell_text
 
         texts = [[cell_text(value) for value in row] for row in self.rows]
         shown, widths = self._fitted(texts, options.max_width)
         made = RichTable(
-            title=escape(self.title), title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False
+            title=Text(self.title), title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False
         )
         for index, width in zip(shown, widths, strict=True):
             justify: Any = "left" if index == 0 or _longest(texts, index) > _WIDE else "right"
             made.add_column(self.columns[index], justify=justify, width=width, overflow="fold")
         for row in texts:
-            made.add_row(*(row[index] for index in shown))
+            made.add_row(*(Text.from_markup(row[index]) for index in shown))
         yield made
         left_out = [self.columns[index] for index in range(len(self.columns)) if index not in shown]
         if left_out:

@@ -209,7 +209,7 @@ def monitor(
 
     if seconds is not None and not seconds > 0:
         raise ValueError(f"--seconds: must be above 0, got {seconds:g}")
-    page = Console(highlight=False, soft_wrap=True)
+    page = Console(highlight=False, soft_wrap=True, markup=False)
     changes: list[dict[str, object]] = []
     last: tuple[object, ...] | None = None
     looks = 0

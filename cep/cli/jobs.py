@@ -87,7 +87,7 @@ def finish_folder(
         shown = [key for key in figures if any(row.get(key) is not None for row in rows)]
         lines = [(escape(str(row[name])), *(row.get(key) for key in shown), _state(row)) for row in rows]
         console.print(table(title, (columns[name], *(columns[key] for key in shown), "warnings"), lines, kept=1))
-        console.print(escape(str(result["summary"])))
+        console.print(str(result["summary"]))
 
     finish(
         {**result, "failures": failures, "missing": missing, "warnings": told},

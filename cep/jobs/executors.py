@@ -51,7 +51,7 @@ def in_threads(tasks: Iterator[Task], workers: int) -> Generator[tuple[str, Fini
                     yield future.result()
                     running += [pool.submit(_one, key, *call) for key, call in islice(tasks, 1)]
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            pool.shutdown(cancel_futures=True)
 
 
 def in_processes(tasks: Tasks, workers: int) -> Generator[tuple[str, Finished]]:

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from cep.bench.blind.report import blind_tables
 from cep.bench.codes import CODE_HEAD
-from cep.cli.console import Table, table
+from cep.cli.console import Table, finish, table
 from cep.cli.jobs import finish_folder, show_tables
 from cep.workflows.folders import FolderResults
 
@@ -145,3 +145,15 @@ def test_the_table_of_a_folder_says_what_failed_at_every_width(capsys, monkeypat
         assert " failed" in out
         assert "DSC0123456789012" in out
         assert ("left out" in out) == (width < 120)
+
+
+def test_brackets_of_names_are_printed_as_they_are(capsys):
+    def show(console):
+        console.print("m[b].json: written")
+        console.print(table("c[w].json", ("code", "x"), [("[bold]best[/bold]", 1)]))
+
+    finish({}, as_json=False, show=show)
+    said = capsys.readouterr().out
+    assert "m[b].json: written" in said
+    assert "c[w].json" in said
+    assert "[bold]" not in said
