@@ -667,7 +667,7 @@ def test_stopped_it_tells_and_goes_on_later(tmp_path, photos, guesses):
     np.testing.assert_allclose(guesses.photos[0], uncoded, atol=0.002)  # no light levels: no noise here either
     assert coded_tables(stopped) == []
     files = write_coded_report(tmp_path / "out", [], stopped, command="again", warnings=["stopped"])
-    assert set(files) == set(OUTPUTS) - {"cep.png", "cep.pdf"}
+    assert set(files) == set(OUTPUTS) - {"cep.png", "cep.pdf", "cep.svg"}
     whole = measure_coded(TINY, photos, cache=cache, designs=("open", "snapshot"))
     assert (whole.missing, len(whole.shots), len(guesses.photos)) == (0, 4, 3)
 

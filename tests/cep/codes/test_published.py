@@ -92,7 +92,7 @@ def test_false_claims_by_merl():
 LEAGUE = [
     [cell.strip() for cell in line.strip("|\n").split("|")]
     for line in (Path(__file__).resolve().parents[3] / "docs" / "league.md").read_text().replace("\\|", "").splitlines()
-    if line.startswith("| ") and not line.startswith("| code")
+    if line.startswith("| ") and not line.startswith(("| code", "| ---"))
 ]
 
 
