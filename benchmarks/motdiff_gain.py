@@ -224,6 +224,7 @@ def write_rows(file: Path, photos: Iterable[Photo], draws: int) -> None:
     """Append the rows that ``file`` lacks."""
     there = {row["name"]: row for row in read_rows([file])} if file.exists() else {}
     shared = SharedSearch(PmpEstimator.kernels)
+    # the methods compared share each photo's search; type: pmp's own class is changed, for this process alone
     PmpEstimator.kernels = lambda *given, **options: shared.kernels(*given, **options)  # type: ignore[method-assign]
     methods, network = estimators(), load_network()
     with torch.no_grad(), one_thread():

@@ -25,15 +25,21 @@ __all__ = [
     "machines_markdown",
     "made_json",
     "means_in_words",
+    "report_files",
     "tables_csv",
     "tables_json",
     "tables_latex",
     "tables_markdown",
     "write_figure",
+    "write_report_files",
 ]
 
 
 TABLES_SCHEMA = "cep.bench/1"
+FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
+"""What :func:`write_figure` writes."""
+_TABLE_ENDINGS = (".md", ".tex", ".csv", ".json")
+_PRINT_DPI = 300
 
 
 def tables_markdown(tables: Sequence[Table]) -> str:
@@ -152,10 +158,49 @@ def made_json(
     return json_text({"schema": TABLES_SCHEMA, **made, **content})
 
 
-FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
-"""What :func:`write_figure` writes."""
+def report_files(name: str, cells: str) -> tuple[str, ...]:
+    """Name the files of a report and its figure; ``cells`` ends the name of the file of single figures."""
+    return (
+        *(f"{name}{ending}" for ending in (*_TABLE_ENDINGS, cells)),
+        *(f"{name}{suffix}" for suffix in FIGURE_SUFFIXES),
+    )
 
-_PRINT_DPI = 300
+
+def write_report_files(
+    folder: Path,
+    name: str,
+    tables: Sequence[Table],
+    *,
+    text: str,
+    cells: tuple[str, str],
+    command: str,
+    seed: int,
+    machines: Sequence[Mapping[str, Any]],
+    warnings: Sequence[str],
+) -> tuple[str, ...]:
+    """Write the texts of a report into a folder of its own, beside the figure that may be there.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+    tables : sequence of Table
+    text : str
+        Of the Markdown file.
+    cells : (str, str)
+        Ending of a further file's name, and its text.
+    command, seed, machines, warnings
+        As of :func:`tables_json`.
+
+    Returns
+    -------
+    names of all files in the folder
+    """
+    about = tables_json(tables, command=command, seed=seed, machines=machines, warnings=warnings)
+    texts = dict(zip(_TABLE_ENDINGS, (text, tables_latex(tables), tables_csv(tables), about), strict=True))
+    for ending, content in (texts | dict([cells])).items():
+        (folder / f"{name}{ending}").write_text(content, encoding="utf-8", newline="")
+    return tuple(sorted(item.name for item in folder.iterdir()))
 
 
 def write_figure(figure: Figure, folder: Path, stem: str) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.cli.console import finish, progress, table
-from cep.cli.options import COMMON, Force, Json, TableFile, output_option, table_files
+from cep.cli.options import Force, Json, PlotFile, TableFile, output_option, table_files
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -105,15 +105,7 @@ def estimate(
         str, typer.Option("--gamma", metavar="CURVE", help="Curve of PNG and TIFF files: linear or srgb.")
     ] = "linear",
     output: Annotated[Path, output_option("Camera to write, .toml or .json.")] = Path("camera.toml"),
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            "--plot",
-            metavar="FILE",
-            rich_help_panel=COMMON,
-            help="Figure to write: .png, .pdf or .svg; named as the output, .png, when omitted.",
-        ),
-    ] = None,
+    plot: PlotFile = None,
     tables: TableFile = None,
     force: Force = False,
     as_json: Json = False,

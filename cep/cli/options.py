@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CAMERA", "COMMON", "MOTION", "CameraFile", "ChipNs", "CodeSource", "Figures", "Force", "Gamma", "Json", "Linear",
-    "Photons", "ReadNoise", "Seed", "TableFile", "TrajectoryFile", "code_figures", "load_camera", "load_motion",
-    "output_option", "table_files",
+    "Photons", "PlotFile", "ReadNoise", "Seed", "TableFile", "TrajectoryFile", "code_figures", "load_camera",
+    "load_motion", "output_option", "table_files",
 ]  # fmt: skip
 
 COMMON, MOTION, CAMERA = "Common options", "Motion", "Camera"
@@ -32,6 +32,13 @@ Seed = Annotated[
     ),
 ]  # fmt: skip
 Force = Annotated[bool, typer.Option("--force", help="Replace outputs that exist.", rich_help_panel=COMMON)]
+PlotFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--plot", metavar="FILE", rich_help_panel=COMMON,
+        help="Figure to write: .png, .pdf or .svg; named as the output, .png, when omitted.",
+    ),
+]  # fmt: skip
 TableFile = Annotated[
     Path | None,
     typer.Option(

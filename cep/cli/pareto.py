@@ -23,12 +23,12 @@ from cep.cli.code_options import (
 from cep.cli.commands import in_options
 from cep.cli.console import finish, progress, table
 from cep.cli.options import (
-    COMMON,
     CameraFile,
     Force,
     Json,
     Linear,
     Photons,
+    PlotFile,
     ReadNoise,
     Seed,
     TableFile,
@@ -89,15 +89,7 @@ def pareto(
         ),
     ] = None,
     output: Annotated[Path, output_option("File to write.")] = Path("front.json"),
-    plot: Annotated[
-        Path | None,
-        typer.Option(
-            "--plot",
-            metavar="FILE",
-            rich_help_panel=COMMON,
-            help="Figure to write: .png, .pdf or .svg; named as the output, .png, when omitted.",
-        ),
-    ] = None,
+    plot: PlotFile = None,
     tables: TableFile = None,
     force: Force = False,
     seed: Seed = 0,

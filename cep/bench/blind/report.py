@@ -14,15 +14,7 @@ from cep.bench.blind.methods import OURS
 from cep.bench.blind.picture import blind_figure, shown
 from cep.bench.blind.run import Plan
 from cep.bench.blind.work import CEILINGS
-from cep.bench.table_io import (
-    FIGURE_SUFFIXES,
-    means_in_words,
-    tables_csv,
-    tables_json,
-    tables_latex,
-    tables_markdown,
-    write_figure,
-)
+from cep.bench.table_io import means_in_words, report_files, tables_markdown, write_figure, write_report_files
 from cep.bench.tables import Column, Table, differences, tabulate
 from cep.io.outputs import new_folder
 from cep.jobs.cells import Figure
@@ -32,13 +24,13 @@ from motdiff.evaluation.measure import RESTORATION
 __all__ = ["blind_tables", "cells_csv", "outputs", "speed_tables", "write_report"]
 
 
+_CELLS = "-cells.csv"
 _RESTORED = (f"PSNR and SSIM are those of the photo's luminance restored, up to shift, by {RESTORATION}.",)
 
 
 def outputs(name: str) -> tuple[str, ...]:
     """Files of the table ``name``."""
-    figures = (f"{name}{suffix}" for suffix in FIGURE_SUFFIXES)
-    return (f"{name}.md", f"{name}.tex", f"{name}.csv", f"{name}.json", f"{name}-cells.csv", *figures)
+    return report_files(name, _CELLS)
 
 
 def write_report(
@@ -92,19 +84,10 @@ def write_report(
         if lines:
             write_figure(blind_figure(lines, pictured), made, name)
             text += f"\n![photos, kernels and what each method restores]({name}.png)\n"
-        machines = outcome.machines
-        texts = {
-            ".md": text,
-            ".tex": tables_latex(tables),
-            ".csv": tables_csv(tables),
-            ".json": tables_json(
-                tables, command=command, seed=plan.protocol.seed, machines=machines, warnings=warnings
-            ),
-            "-cells.csv": cells_csv(outcome.figures, outcome.failures),
-        }
-        for ending, content in texts.items():
-            (made / f"{name}{ending}").write_text(content, encoding="utf-8", newline="")
-        names = sorted(item.name for item in made.iterdir())
+        names = write_report_files(
+            made, name, tables, text=text, cells=(_CELLS, cells_csv(outcome.figures, outcome.failures)),
+            command=command, seed=plan.protocol.seed, machines=outcome.machines, warnings=warnings,
+        )  # fmt: skip
     return {item: folder / item for item in names}
 
 

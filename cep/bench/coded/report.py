@@ -12,15 +12,7 @@ from cep.bench.coded.picture import coded_figure
 from cep.bench.coded.protocol import CodedProtocol
 from cep.bench.coded.run import ESTIMATORS, CodedTable
 from cep.bench.coded.tables import harmed, shots_csv
-from cep.bench.table_io import (
-    FIGURE_SUFFIXES,
-    means_in_words,
-    tables_csv,
-    tables_json,
-    tables_latex,
-    tables_markdown,
-    write_figure,
-)
+from cep.bench.table_io import means_in_words, report_files, tables_markdown, write_figure, write_report_files
 from cep.bench.tables import Table
 from cep.io.outputs import new_folder
 from cep.jobs.cells import Figure as Measured
@@ -30,14 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = ["OUTPUTS", "write_coded_report"]
 
-OUTPUTS = (
-    "cep.md",
-    "cep.tex",
-    "cep.csv",
-    "cep.json",
-    "cep-photos.csv",
-    *(f"cep{suffix}" for suffix in FIGURE_SUFFIXES),
-)
+_NAME, _PHOTOS = "cep", "-photos.csv"
+OUTPUTS = report_files(_NAME, _PHOTOS)
 """Files of the table."""
 
 _RESTORED_BY = {
@@ -82,20 +68,12 @@ def write_coded_report(
     with new_folder(folder, OUTPUTS, force=force) as made:
         text = _introduction(measured, tables, command, warnings) + tables_markdown(tables)
         if measured.shots:
-            write_figure(_figure(measured), made, "cep")
+            write_figure(_figure(measured), made, _NAME)
             text += "\n![photo, coded photo with code and PSF, restored photo, MTF](cep.png)\n"
-        texts = {
-            "cep.md": text,
-            "cep.tex": tables_latex(tables),
-            "cep.csv": tables_csv(tables),
-            "cep.json": tables_json(
-                tables, command=command, seed=measured.protocol.seed, machines=measured.machines, warnings=warnings
-            ),
-            "cep-photos.csv": shots_csv(measured),
-        }
-        for name, content in texts.items():
-            (made / name).write_text(content, encoding="utf-8", newline="")
-        names = sorted(item.name for item in made.iterdir())
+        names = write_report_files(
+            made, _NAME, tables, text=text, cells=(_PHOTOS, shots_csv(measured)),
+            command=command, seed=measured.protocol.seed, machines=measured.machines, warnings=warnings,
+        )  # fmt: skip
     return {name: folder / name for name in names}
 
 
