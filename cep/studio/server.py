@@ -41,7 +41,6 @@ _STATIC = {
     "state.js": "text/javascript; charset=utf-8",
     "strip.js": "text/javascript; charset=utf-8",
     "plots.js": "text/javascript; charset=utf-8",
-    "icon.svg": "image/svg+xml",
 }
 _BEAT_S = 15.0
 _MOST_PINS, _MOST_PHOTOS, _MOST_PAGE = 12, 3, 64

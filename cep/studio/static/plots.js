@@ -17,22 +17,39 @@ function sizeOf(svg) {
   return sizes.get(svg);
 }
 
+const backgrounds = new WeakMap(); // what of a drawing stays from one code to the next, and what it depends on
+
+/** Keep a drawing's background, or draw it where it has changed; all that was drawn upon it goes. */
+function onBackground(svg, key, drawOn) {
+  const kept = backgrounds.get(svg);
+  if (kept?.key === key) {
+    while (svg.lastChild !== kept.group) svg.lastChild.remove();
+    return;
+  }
+  const group = make("g");
+  svg.replaceChildren(group);
+  backgrounds.set(svg, { key, group });
+  drawOn(group);
+}
+
 /** A plot in pixels of the screen: axes, grid, and a function that places values. */
-function frame(svg, { x, y, xTicks, yTicks, xName, yName, xText = String, yText = String }) {
+function frame(svg, axes) {
+  const { x, y, xTicks, yTicks, xName, yName, xText = String, yText = String } = axes;
   const { width, height, em } = sizeOf(svg);
-  svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
-  svg.replaceChildren();
   Object.assign(EDGE, { left: 3.4 * em, right: 2.2 * em, top: 0.9 * em, bottom: 2.9 * em });
   const inner = { w: width - EDGE.left - EDGE.right, h: height - EDGE.top - EDGE.bottom };
   const px = (value) => EDGE.left + (inner.w * (value - x[0])) / (x[1] - x[0]);
   const py = (value) => EDGE.top + (inner.h * (y[1] - value)) / (y[1] - y[0]);
-  for (const tick of yTicks) {
-    svg.append(make("line", { class: "grid", x1: EDGE.left, x2: width - EDGE.right, y1: py(tick), y2: py(tick) }));
-    svg.append(make("text", { x: EDGE.left - 0.5 * em, y: py(tick) + 0.35 * em, "text-anchor": "end" }, yText(tick)));
-  }
-  for (const tick of xTicks) svg.append(make("text", { x: px(tick), y: height - EDGE.bottom + 1.3 * em, "text-anchor": "middle" }, xText(tick)));
-  svg.append(make("text", { x: EDGE.left + inner.w / 2, y: height - 0.3 * em, "text-anchor": "middle" }, xName));
-  svg.append(make("text", { x: width - EDGE.right, y: EDGE.top + 0.9 * em, "text-anchor": "end" }, yName));
+  onBackground(svg, JSON.stringify([width, height, em, axes]), (group) => {
+    svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+    for (const tick of yTicks) {
+      group.append(make("line", { class: "grid", x1: EDGE.left, x2: width - EDGE.right, y1: py(tick), y2: py(tick) }));
+      group.append(make("text", { x: EDGE.left - 0.5 * em, y: py(tick) + 0.35 * em, "text-anchor": "end" }, yText(tick)));
+    }
+    for (const tick of xTicks) group.append(make("text", { x: px(tick), y: height - EDGE.bottom + 1.3 * em, "text-anchor": "middle" }, xText(tick)));
+    group.append(make("text", { x: EDGE.left + inner.w / 2, y: height - 0.3 * em, "text-anchor": "middle" }, xName));
+    group.append(make("text", { x: width - EDGE.right, y: EDGE.top + 0.9 * em, "text-anchor": "end" }, yName));
+  });
   return { px, py, width, height, em };
 }
 
@@ -85,31 +102,28 @@ function shade(value) {
   return CIVIDIS[i].map((low, channel) => Math.round(low + share * (CIVIDIS[i + 1][channel] - low)));
 }
 
-/** A path; where the code is open it is lit. Dots mark equal steps of time. */
+/** A path; where the code is open it is lit. Dots mark equal steps of time, the large one its beginning. */
 export function drawPath(svg, motion, bits, { dots = true } = {}) {
   const { t, x, y } = motion;
   const low = [Math.min(...x), Math.min(...y)], high = [Math.max(...x), Math.max(...y)];
   const reach = Math.max(high[0] - low[0], high[1] - low[1], 1) * 0.62;
   const centre = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
   const { width, height } = dots ? sizeOf(svg) : { width: 1, height: 1 };
-  const ratio = width / height;
-  svg.setAttribute("viewBox", `${centre[0] - reach * ratio} ${centre[1] - reach} ${2 * reach * ratio} ${2 * reach}`);
-  const stroke = reach / 26;
-  svg.replaceChildren(make("path", { class: "track", "stroke-width": stroke, d: line2(x.map((value, i) => [value, y[i]])) }));
-  if (bits) {
-    const at = sampler(t, x, y);
-    for (const run of bits.matchAll(/1+/g)) {
-      const begin = run.index / bits.length, end = (run.index + run[0].length) / bits.length;
-      const inner = t.map((time, i) => [time, i]).filter(([time]) => time > begin && time < end).map(([, i]) => [x[i], y[i]]);
-      svg.append(make("path", { class: "lit", "stroke-width": 2.1 * stroke, d: line2([at(begin), ...inner, at(end)]) }));
-    }
-  }
+  const ratio = width / height, stroke = reach / 26, at = sampler(t, x, y);
+  onBackground(svg, JSON.stringify([width, height, dots, t, x, y]), (group) => {
+    svg.setAttribute("viewBox", `${centre[0] - reach * ratio} ${centre[1] - reach} ${2 * reach * ratio} ${2 * reach}`);
+    group.append(make("path", { class: "track", "stroke-width": stroke, d: line2(x.map((value, i) => [value, y[i]])) }));
+  });
+  const lit = Array.from(bits.matchAll(/1+/g), (run) => {
+    const begin = run.index / bits.length, end = (run.index + run[0].length) / bits.length;
+    const inner = t.map((time, i) => [time, i]).filter(([time]) => time > begin && time < end).map(([, i]) => [x[i], y[i]]);
+    return line2([at(begin), ...inner, at(end)]);
+  });
+  if (lit.length) svg.append(make("path", { class: "lit", "stroke-width": 2.1 * stroke, d: lit.join("") }));
   if (dots) {
-    const at = sampler(t, x, y);
-    for (let i = 0; i <= 10; i++) {
-      const [cx, cy] = at(i / 10);
-      svg.append(make("circle", { class: "dot", cx, cy, r: (i === 0 ? 1.5 : 0.8) * stroke }));
-    }
+    const round = (r, times) => times.map((time) => at(time)).map(([cx, cy]) => `M${cx - r} ${cy}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0`).join("");
+    const tenths = Array.from({ length: 10 }, (_, i) => (i + 1) / 10);
+    svg.append(make("path", { class: "dot", d: round(1.5 * stroke, [0]) + round(0.8 * stroke, tenths) }));
   }
 }
 

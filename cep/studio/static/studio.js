@@ -161,17 +161,17 @@ function drawVerdict() {
   for (const id of ["sentence", "where", "gains"]) $(id).classList.toggle("stale", !valid);
   if (valid) {
     const [head, conditions] = cut(advice.sentence);
-    $("sentence").textContent = head;
-    $("where").textContent = `${advice.where} ${conditions}`;
+    say("sentence", head);
+    say("where", `${advice.where} ${conditions}`);
   } else if (!judged) {
-    $("sentence").textContent = "No verdict: one of the inputs below needs a look.";
-    $("where").textContent = "";
+    say("sentence", "No verdict: one of the inputs below needs a look.");
+    say("where", "");
   } else {
-    $("sentence").textContent = cut(judged.sentence)[0];
+    say("sentence", cut(judged.sentence)[0]);
     const waits = job?.state === "running" && job.kind !== "advise";
-    $("where").textContent = waits ? "So far: the best code for this motion and light is looked for when this work is done." : "So far: the best code for this motion and light is being searched.";
+    say("where", waits ? "So far: the best code for this motion and light is looked for when this work is done." : "So far: the best code for this motion and light is being searched.");
   }
-  $("own").textContent = judged ? ownLine(valid) : "";
+  say("own", judged ? ownLine(valid) : "");
   $("own").classList.toggle("stale", document.body.dataset.verdict !== document.body.dataset.asked);
 }
 
@@ -235,10 +235,12 @@ function change(part, { recorded = false } = {}) {
   else followPins();
 }
 
-// The address follows a little later: browsers stop a page that writes it more than 200 times in 10 s, as a hand does.
+// The address follows once the hand rests: a new one makes browsers style the whole page anew, and they stop a page that
+// writes it more than 200 times in 10 s.
 let addressTimer = null, written = location.hash;
 function keepAddress() {
-  addressTimer ??= setTimeout(writeAddress, 150);
+  clearTimeout(addressTimer);
+  addressTimer = setTimeout(writeAddress, 300);
   remember("studio-address", toAddress(state));
   document.body.dataset.address = "late";
 }
@@ -262,7 +264,7 @@ function follow() {
   followPhotos();
   drawVerdict();
   clearTimeout(restTimer);
-  restTimer = setTimeout(followVerdict, 120); // once the hand rests: pictures go first
+  restTimer = setTimeout(followVerdict, 250); // once the hand rests: pictures go first
   if (state.pins.length) followPins();
   followAdvice();
 }
@@ -291,8 +293,8 @@ function fill() {
   put("photons", state.photons ?? camera?.photons ?? 10000);
   put("photons-range", Math.log10(state.photons ?? camera?.photons ?? 10000));
   put("read_noise", state.read_noise ?? camera?.read_noise ?? 5);
-  $("camera-about").textContent = camera?.about ?? "a sensor of 12 bits";
-  $("device-about").textContent = known?.devices.find((one) => one.name === state.device)?.about ?? "";
+  say("camera-about", camera?.about ?? "a sensor of 12 bits");
+  say("device-about", known?.devices.find((one) => one.name === state.device)?.about ?? "");
   put("open-low", state.open?.[0] ?? "");
   put("open-high", state.open?.[1] ?? "");
   for (const name of ["min_open", "max_open", "min_closed", "max_pulses"]) put(name, state[name] ?? "");
@@ -308,9 +310,9 @@ function fill() {
   for (const side of ["left", "right"]) put(`side-${side}`, state[side]);
   $("undo").disabled = !past.length;
   $("redo").disabled = !future.length;
-  $("photo-line").textContent = state.view === "restored"
+  say("photo-line", state.view === "restored"
     ? "Restored by a Wiener filter along the path as it is drawn: any error of it comes on top."
-    : "With the camera's noise. Coded photos are brightened to the light of the open shutter.";
+    : "With the camera's noise. Coded photos are brightened to the light of the open shutter.");
   drawEstimate();
 }
 
@@ -320,11 +322,11 @@ function put(id, value) {
 
 function draw() {
   const { code, motion, figures, open } = shown;
-  $("code-line").textContent = `${code.open} of ${code.chips} chips open, ${code.openings} opening${code.openings === 1 ? "" : "s"}, chips of ${code.chip}`;
-  $("axis-middle").textContent = half(code.exposure);
-  $("axis-end").textContent = code.exposure;
+  say("code-line", `${code.open} of ${code.chips} chips open, ${code.openings} opening${code.openings === 1 ? "" : "s"}, chips of ${code.chip}`);
+  say("axis-middle", half(code.exposure));
+  say("axis-end", code.exposure);
   $("broken").hidden = !code.broken.length;
-  $("broken").textContent = code.broken.map(sentence).join(" ");
+  say("broken", code.broken.map(sentence).join(" "));
   drawFacts();
   const zero = figures.min_mtf_lower < 1e-6;
   figure("min", zero ? "0" : `≥ ${digits(figures.min_mtf_lower)}`, zero && figures.min_mtf > 1e-4 ? `reached ${digits(figures.min_mtf)}; not proven above 0` : `open shutter ${digits(open.min_mtf)}`);
@@ -350,6 +352,7 @@ function drawFacts() {
   else figure("psnr", "…", "with the path's error");
 }
 
+/** Put a text into its place: one that is there already is not laid out anew. */
 function say(id, text) {
   if ($(id).textContent !== text) $(id).textContent = text;
 }

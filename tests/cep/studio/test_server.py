@@ -30,7 +30,7 @@ def test_the_page_and_its_files_are_served(client):
     assert "http://" not in page.text
     assert "https://" not in page.text
     assert f'accept="image/png,image/jpeg,image/tiff,image/webp,{",".join(RAW_SUFFIXES)}"' in page.text
-    for name, kind in (("studio.js", "text/javascript"), ("studio.css", "text/css"), ("icon.svg", "image/svg+xml")):
+    for name, kind in (("studio.js", "text/javascript"), ("studio.css", "text/css")):
         assert client.get(f"/static/{name}").headers["content-type"].startswith(kind)
 
 
@@ -79,7 +79,7 @@ def test_the_verdict_is_that_of_the_library(client, setting, path_error):
     expected = verdict(read.problem(), read.code(), path_error_px=path_error or 0.0)
     assert found["sentence"] == expected.sentence
     assert ("a path known to 0.4 px" in found["sentence"]) == (path_error is not None)
-    assert found["gains_db"] == pytest.approx(expected.gains_db)
+    assert found["gains_db"] == pytest.approx(expected.gains_db, abs=1e-4)  # sums of BLAS in another order
     turned = {**setting, "bits": setting["bits"][1:] + "1"}  # the ways without a code are kept from the first one
     other = read_setting(turned)
     again = verdict(other.problem(), other.code(), path_error_px=path_error or 0.0)
