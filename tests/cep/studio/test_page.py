@@ -267,12 +267,14 @@ def test_many_quick_changes_keep_the_address_and_an_early_reload_loses_nothing(s
     assert bits(page) == "00" + "10" * 19
 
 
-def test_a_search_shows_its_best_and_can_be_stopped(studio):
+def test_a_search_shows_its_best_survives_a_reload_and_can_be_stopped(studio):
     page = studio(state="code=" + "10" * 20 + "&motion=straight:30:0")
     before = bits(page)
     page.locator("#effort").select_option("2000000")
     page.locator("#search").click()
     until(page, f"!location.hash.includes('code={before}')", 90)
+    page.reload()
+    until(page, "!document.getElementById('stop').hidden", 30)  # it is still running, and this page's
     page.locator("#stop").click()
     until(page, "!document.getElementById('search').hidden", 90)
     found = bits(page)
