@@ -75,15 +75,20 @@ class ProofFile:
         ------
         ValueError
             If it does not add up, or its block has one already.
+        OSError
+            If the file cannot be written to; it is named.
         """
         self._take(record)
         lines: list[Mapping[str, Any]] = [record]
         if not self.path.exists() or not self.path.stat().st_size:
             lines.insert(0, _header(self.plan))
-        with self.path.open("ab") as stream:
-            stream.write(b"".join(map(_line, lines)))
-            stream.flush()
-            os.fsync(stream.fileno())
+        try:
+            with self.path.open("ab") as stream:
+                stream.write(b"".join(map(_line, lines)))
+                stream.flush()
+                os.fsync(stream.fileno())
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self.path)) from None  # a full disk does not name it
 
     def _take(self, record: Mapping[str, Any]) -> None:
         """Add a record that is on disk, or will be."""

@@ -1,5 +1,6 @@
 """``cep optimize`` from the shell: proofs, forced chips, motions that may differ, a shutter's ramps."""
 
+import errno
 import importlib
 import json
 import math
@@ -376,6 +377,23 @@ def test_a_class_and_what_does_not_go_with_it(cep, workplace, options, message):
     Path("empty").mkdir()
     assert message in cep.refuses("optimize", *options, "-o", "refused.json")
     assert not Path("refused.json").exists()
+
+
+def test_a_full_disk_loses_no_code_and_names_the_file(cep, workplace, monkeypatch):
+    asked = ("optimize", "--linear", "14", "--chips", "14", "--method", "exact")
+
+    def full(*_arguments, **_options):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as disk:
+        disk.setattr(Path, "write_text", full)
+        told = cep.fails(*asked, "-o", "best.json")
+    assert told == "cep: best.json: No space left on device; the code found is 11111001101010\n"
+    with monkeypatch.context() as disk:
+        disk.setattr("os.fsync", full)
+        told = cep.fails(*asked, "--workers", "1", "--cache", "kept", "-o", "best.json")
+    assert told.endswith("kept/proof.jsonl: No space left on device\n")
+    assert not Path("best.json").exists()
 
 
 def test_a_proof_in_blocks_is_kept_continued_and_audited(cep, workplace):
