@@ -51,8 +51,8 @@ def optimize_frames(task: Task, frames: int, run: SearchRun) -> Callable[[], Non
 
     def keep(found: FramesResult) -> None:
         """Write the codes before they are measured: Ctrl-C from here on must not lose them."""
-        run.check_playable(*found.codes)
-        write_frames(files, found, described=task.described)
+        with run.keeping(*found.codes):
+            write_frames(files, found, described=task.described)
 
     best = find_frames(
         task.problem, run.how, frames, progress=run.tick, on_found=keep,

@@ -354,12 +354,8 @@ def optimize(
 
                 def keep(code: ShutterCode, found: Found) -> None:
                     """Write the code before it is compared: Ctrl-C from here on must not lose it."""
-                    run.check_playable(code)
-                    try:
+                    with run.keeping(code):
                         write_code(run.output, StoredCode(code, problem=stored_search(wanted.described, found)))
-                    except OSError as error:
-                        error.add_note(f"the code found is {code.bits}")  # hours of search are not lost to a full disk
-                        raise
 
                 if method == "exact":
                     asked = searched_problem(wanted.problem)

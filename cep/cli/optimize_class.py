@@ -101,8 +101,8 @@ def optimize_class(task: ClassTask, run: SearchRun) -> Callable[[], None]:
 
     def keep(code: ShutterCode, found: Found) -> None:
         """Write the code before it is judged: Ctrl-C from here on must not lose it."""
-        run.check_playable(code)
-        write_code(run.output, StoredCode(code, problem=stored_search(task.described, found)))
+        with run.keeping(code):
+            write_code(run.output, StoredCode(code, problem=stored_search(task.described, found)))
 
     best = find(task.motions, task.problem, run.how, others=task.others, progress=run.tick, on_found=keep)
     best.save(run.output, described=task.described)

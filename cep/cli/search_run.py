@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,19 +51,25 @@ class SearchRun:
         """Return the files that are written: the codes', :attr:`output` when omitted, and the tables'."""
         return [*(files or (self.output,)), *table_files(self.tables)]
 
-    def check_playable(self, *codes: ShutterCode) -> None:
-        """Refuse codes that the device cannot play.
+    @contextmanager
+    def keeping(self, *codes: ShutterCode) -> Iterator[None]:
+        """Write codes that were found; where that fails, as on a full disk, the error says them: none is lost.
 
         Raises
         ------
         ValueError
-            If it cannot play one.
+            If the device cannot play one.
         """
         from cep.search.playable import unplayable
 
         for code in codes:
             if reason := unplayable(code.bits, self.profile, code.chip_ns):
                 raise ValueError(reason)
+        try:
+            yield
+        except OSError as error:
+            error.add_note(f"found: {', '.join(code.bits for code in codes)}")
+            raise
 
     def shown(self, result: Mapping[str, Any], show: Callable[[Console], None]) -> Callable[[], None]:
         """Return the function that prints a result: by ``show`` for people, or as JSON with the seed."""

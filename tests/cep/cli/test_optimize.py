@@ -4,6 +4,7 @@ import errno
 import importlib
 import json
 import math
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -388,7 +389,11 @@ def test_a_full_disk_loses_no_code_and_names_the_file(cep, workplace, monkeypatc
     with monkeypatch.context() as disk:
         disk.setattr(Path, "write_text", full)
         told = cep.fails(*asked, "-o", "best.json")
-    assert told == "cep: best.json: No space left on device; the code found is 11111001101010\n"
+        two = cep.fails(
+            "optimize", "--linear", "14", "--chips", "6", "--frames", "2", "--steps", "200", "-o", "two.json"
+        )
+    assert told == "cep: best.json: No space left on device; found: 11111001101010\n"
+    assert re.search(r"two_1.json: No space left on device; found: [01]{6}, [01]{6}\n$", two)
     with monkeypatch.context() as disk:
         disk.setattr("os.fsync", full)
         told = cep.fails(*asked, "--workers", "1", "--cache", "kept", "-o", "best.json")
