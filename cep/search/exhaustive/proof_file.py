@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cep.search.exhaustive.block_proof import VERSION, BlockPlan
+from motdiff.io.outputs import naming
 from motdiff.io.schemas import fault, load_schema
 
 __all__ = ["FILE_NAME", "SCHEMA", "ProofFile"]
@@ -82,13 +83,10 @@ class ProofFile:
         lines: list[Mapping[str, Any]] = [record]
         if not self.path.exists() or not self.path.stat().st_size:
             lines.insert(0, _header(self.plan))
-        try:
-            with self.path.open("ab") as stream:
-                stream.write(b"".join(map(_line, lines)))
-                stream.flush()
-                os.fsync(stream.fileno())
-        except OSError as error:
-            raise OSError(error.errno, error.strerror, str(self.path)) from None  # a full disk does not name it
+        with naming({}, self.path), self.path.open("ab") as stream:  # a full disk does not name the file
+            stream.write(b"".join(map(_line, lines)))
+            stream.flush()
+            os.fsync(stream.fileno())
 
     def _take(self, record: Mapping[str, Any]) -> None:
         """Add a record that is on disk, or will be."""
