@@ -135,10 +135,10 @@ def _prepare(given: argparse.Namespace) -> None:
     from motdiff.network.condition import PHOTO_PX
     from motdiff.training.config import read_config
     from motdiff.training.photos import load_photos, split_photos
-    from motdiff.training.prepared import prepare
+    from motdiff.training.prepared import prepare, shard_range
 
     torch.set_num_threads(1)  # the arrays are small: more threads are slower
-    shards = _shards(given.shards)
+    shards = shard_range(given.shards)
     config = read_config(given.config)
     if not config.data.photos:
         raise ValueError(f"{given.config}: data.photos is needed to prepare samples")
@@ -153,17 +153,6 @@ def _prepare(given: argparse.Namespace) -> None:
         seed=config.optimiser.seed + (1 if given.held_out else 0),
         on_shard=lambda shard: print(f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True),  # noqa: T201
     )
-
-
-def _shards(text: str) -> range:
-    try:
-        first, last, *step = (int(number) for number in text.split(":"))
-        shards = range(first, last, *step)
-    except (TypeError, ValueError):
-        raise ValueError(f"--shards: must be FIRST:LAST or FIRST:LAST:STEP, got {text!r}") from None
-    if not shards or min(shards) < 0:
-        raise ValueError(f"--shards: must hold numbers from 0 upwards, FIRST below LAST, got {text!r}")
-    return shards
 
 
 def _add_pack(commands: _Commands[argparse.ArgumentParser]) -> None:

@@ -294,6 +294,12 @@ def _denoiser(path):
     return load_denoiser(path)
 
 
+def _correction(path):
+    from motdiff.weights.correction import load_correction
+
+    return load_correction(path)
+
+
 def _network(path):
     from motdiff.weights import load_network
 
@@ -341,6 +347,9 @@ READERS = {
     ),
     "network": Reader(
         ".safetensors", _file("motdiff", "weights", "motdiff.safetensors"), _network, mend=_safetensors_mended
+    ),
+    "correction": Reader(
+        ".safetensors", _file("motdiff", "weights", "correction.safetensors"), _correction, mend=_safetensors_mended
     ),
     "learned code": Reader(
         ".safetensors", _file("research", "dce", "dce.safetensors"), _learned_code, mend=_safetensors_mended

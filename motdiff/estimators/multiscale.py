@@ -92,6 +92,10 @@ class BlindEstimator(ABC):
         """Fit a kernel (k, k), found in one photo, to the crops (C, H, W) of several; unchanged by default."""
         return kernel
 
+    def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:  # noqa: ARG002
+        """Improve the best kernel found in the crops (C, H, W), after all tests of it; unchanged by default."""
+        return found
+
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Estimate the motion from a blurred ``photo``: :meth:`estimate_from` with one.
 
@@ -143,8 +147,9 @@ class BlindEstimator(ABC):
             if len(best.crops) > (1 if best.fusion is None else len(best.fusion.kept)):
                 alone = self.single(best.crops, best.found)
                 uneven = uneven_blur_warning(best.crops, alone, best.found.kernels[best.found.best])
-            estimate = _described(best, self.method, uneven)
             outgrown = _outgrown(best, self.largest_px)
+            best = replace(best, found=self.corrected(best.crops, best.found))
+            estimate = _described(best, self.method, uneven)
             estimate = doubted(estimate, levels[0].photographed, uneven=uneven is not None, outgrown=outgrown)
             whole.finish()
             return estimate

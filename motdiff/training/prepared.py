@@ -18,7 +18,7 @@ from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.training.samples import Samples, simulate
 from motdiff.training.simulation import Photography
 
-__all__ = ["SHARD_SAMPLES", "prepare", "read_shards"]
+__all__ = ["SHARD_SAMPLES", "prepare", "read_shards", "shard_range"]
 
 SHARD_SAMPLES = 64
 
@@ -59,6 +59,24 @@ def prepare(
                 )
             _write(file, samples)
         on_shard(shard)
+
+
+def shard_range(text: str) -> range:
+    """Read the numbers of shards, ``FIRST:LAST`` or ``FIRST:LAST:STEP``, as the option ``--shards`` has them.
+
+    Raises
+    ------
+    ValueError
+        If they are others, or none.
+    """
+    try:
+        first, last, *step = (int(number) for number in text.split(":"))
+        shards = range(first, last, *step)
+    except (TypeError, ValueError):
+        raise ValueError(f"--shards: must be FIRST:LAST or FIRST:LAST:STEP, got {text!r}") from None
+    if not shards or min(shards) < 0:
+        raise ValueError(f"--shards: must hold numbers from 0 upwards, FIRST below LAST, got {text!r}")
+    return shards
 
 
 def read_shards(folder: Path | str) -> Samples:

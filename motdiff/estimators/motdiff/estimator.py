@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import Judge, candidate_probabilities, noise_sigma
+from motdiff.estimators.motdiff.correcting import corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp import PmpEstimator
@@ -21,6 +23,7 @@ from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.threads import side_by_side
 from motdiff.weights import load_network
+from motdiff.weights.correction import load_correction
 
 __all__ = ["MotDiffEstimator"]
 
@@ -29,7 +32,7 @@ FloatArray = NDArray[np.float64]
 _ODD_PX = PSF_PX - 1
 _REFINED = 3
 # processor time of the stages, in starts of the classical search
-_DRAW_COST, _JUDGE_COST, _REFINE_COST, _SINGLE_COST, _TRACE_COST = 0.4, 0.2, 0.45, 0.35, 0.25
+_DRAW_COST, _JUDGE_COST, _REFINE_COST, _SINGLE_COST, _CORRECT_COST, _TRACE_COST = 0.4, 0.2, 0.45, 0.35, 0.25, 0.25
 _DOUBT = 0.02  # share of the peak: off the path a network's output is never quite 0
 # of the search's starts, those that stand for the shortened ones the network was trained with; the first two agreeing,
 # the larger one stands for the one not run as well
@@ -41,7 +44,8 @@ class MotDiffEstimator(BlindEstimator):
 
     Classical searches give kernels. The network, conditioned on up to three of them, samples several motions. All are
     scored on the photo (:mod:`motdiff.estimators.kernel_score`), and the most likely ones are refined at full
-    resolution. The result is a classical kernel wherever that has the higher score.
+    resolution. A second network corrects the likeliest of these (:mod:`motdiff.network.correction`), which may come
+    from a classical kernel or from the draws.
 
     Parameters
     ----------
@@ -53,7 +57,8 @@ class MotDiffEstimator(BlindEstimator):
         Denoising steps of each. With one, a draw is the network's mean guess from the photo turned or mirrored its
         way: draws are alike (MNC 0.98), and those beyond the eighth add next to nothing (0.99).
     refine : bool
-        Whether the likeliest kernels, drawn or searched, are refined on the photo at the end.
+        Whether the likeliest kernels, drawn or searched, are refined on the photo at the end, and the best of these
+        corrected.
     seed : int
         Of the draws.
     crops : int
@@ -64,7 +69,7 @@ class MotDiffEstimator(BlindEstimator):
     References
     ----------
     Choi et al., "MoTDiff: High-resolution motion trajectory estimation from a single blurred image using diffusion
-    models", arXiv 2510.26173. Physics maps, judgement and refinement are ours.
+    models", arXiv 2510.26173. Physics maps, judgement, refinement and correction are ours.
     """
 
     method = "motdiff"
@@ -88,11 +93,12 @@ class MotDiffEstimator(BlindEstimator):
                 raise ValueError(f"{name}: must be at least 1, got {value}")
         self._network = load_network() if weights is None else load_network(weights)
         self._samples, self._steps, self._refine = samples, steps, refine
+        self._correction = load_correction() if refine else None
         self._seed = seed
 
     def search(self, crops: FloatArray) -> FoundKernels:
         """Sample, score and refine kernels of the crops (C, H, W)."""
-        after = _JUDGE_COST + _REFINE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0) + _TRACE_COST
+        after = _JUDGE_COST + _REFINE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0) + _CORRECT_COST + _TRACE_COST
         self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
         judge = Judge(crops)
         classical, conditions = self._classical(crops)
@@ -140,6 +146,20 @@ class MotDiffEstimator(BlindEstimator):
     def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
         """Fit a kernel (k, k) to the crops (C, H, W) once more."""
         return refined(crops, kernel, float(np.median([noise_sigma(crop) for crop in crops])))
+
+    def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:
+        """Correct the best kernel by what the crops (C, H, W) and the likeliest other kernels tell of it."""
+        if self._correction is None:
+            return found
+        order = np.argsort(-found.probabilities)
+        others = [int(i) for i in order if i != found.best and i >= self._samples]  # first the draws, which are alike
+        sigma = float(np.median([noise_sigma(crop) for crop in crops]))
+        kernels = list(found.kernels)
+        instead = [kernels[i] for i in others[:2]]
+        kernel = corrected_kernel(self._correction, crops, kernels[found.best], instead, sigma=sigma)
+        kernels[found.best] = _in_odd_frames(kernel[None])[0]
+        self._progress.spend(_CORRECT_COST)
+        return replace(found, kernels=tuple(kernels))
 
     def _classical(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Search classical kernels (Q, 64, 64), and select those that condition the network (3, 64, 64)."""

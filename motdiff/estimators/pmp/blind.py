@@ -13,7 +13,7 @@ from motdiff.estimators.pmp.grids import downsampled, fast_size, periodic_extens
 from motdiff.estimators.pmp.kernel import centred, fit_kernel, without_faint_light, without_specks
 from motdiff.estimators.pmp.latent import Coupling, l0_pmp_latent, salient_gradients, start_threshold
 
-__all__ = ["PmpSettings", "estimate_kernels", "refine_kernel"]
+__all__ = ["PmpSettings", "estimate_kernels", "fine_latent", "refine_kernel"]
 
 _RATIO = math.sqrt(0.5)
 _COARSEST_PX = 5
@@ -213,6 +213,41 @@ def refine_kernel(photos: Tensor, kernel: Tensor, *, sigma: float) -> Tensor:
     return kernel
 
 
+def fine_latent(
+    wrapped: Tensor,
+    kernel: Tensor,
+    *,
+    sigma: float,
+    gradient_weight: float = _FINE_GRADIENT_FLOOR,
+    coupling: Coupling = _FINE_COUPLING,
+) -> Tensor:
+    """Restore a latent photo with fine detail: few gradients, fewer where the noise is large, no minimal pixels.
+
+    Parameters
+    ----------
+    wrapped : (B, H, W) float, periodic
+    kernel : (B, k, k) float, sum 1, zero displacement at ``k // 2``
+    sigma : float
+        Standard deviation of the noise.
+    gradient_weight : float
+        Weight of the gradient count without noise.
+    coupling : Coupling
+
+    Returns
+    -------
+    (B, H, W) float.
+    """
+    return l0_pmp_latent(
+        wrapped,
+        kernel,
+        intensity_weight=0.0,
+        gradient_weight=gradient_weight + _FINE_GRADIENT_PER_VARIANCE * sigma**2,
+        patch_px=1,
+        coarse=False,
+        coupling=coupling,
+    )
+
+
 def _fitted_to_all(
     wrapped: Tensor,
     blurred: tuple[Tensor, Tensor],
@@ -228,15 +263,9 @@ def _fitted_to_all(
     ``wrapped`` (B * C, H', W') is the photo made periodic, ``blurred`` its gradients, (B, C, H - 1, W - 1).
     """
     batch, crops, rows, columns = blurred[0].shape
-    latent = l0_pmp_latent(
-        wrapped,
-        kernel.repeat_interleave(crops, dim=0),
-        intensity_weight=0.0,
-        gradient_weight=gradient_weight + _FINE_GRADIENT_PER_VARIANCE * sigma**2,
-        patch_px=1,
-        coarse=False,
-        coupling=coupling,
-    )[:, : rows + 1, : columns + 1]
+    repeated = kernel.repeat_interleave(crops, dim=0)
+    latent = fine_latent(wrapped, repeated, sigma=sigma, gradient_weight=gradient_weight, coupling=coupling)
+    latent = latent[:, : rows + 1, : columns + 1]
     fitted = fit_kernel(
         _by_photo(salient_gradients(latent, latent.new_zeros(batch * crops)), batch),
         blurred,

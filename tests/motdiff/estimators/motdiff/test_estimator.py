@@ -10,6 +10,7 @@ from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import noise_sigma
 from motdiff.estimators.motdiff import MotDiffEstimator, drawing
 from motdiff.estimators.motdiff import estimator as module
+from motdiff.estimators.motdiff.correcting import corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, Start, planned
@@ -25,6 +26,7 @@ from motdiff.training.config import DataConfig, TrainingConfig
 from motdiff.training.loop import Trainer
 from motdiff.trajectory import Trajectory
 from motdiff.weights import export_weights
+from motdiff.weights.correction import load_correction
 
 STRAIGHT = Trajectory.straight(15.0, angle_rad=0.5)
 TINY = {
@@ -347,6 +349,42 @@ def test_candidates_come_in_odd_frames_with_their_zero_in_the_middle():
     assert np.argwhere(other).tolist() == [[29, 35], [30, 35]]
     assert one.sum() == pytest.approx(1)
     assert other.sum() == pytest.approx(1)
+
+
+def test_the_best_kernel_is_corrected_and_the_likeliest_searched_ones_are_told_with_it(monkeypatch, shaken):
+    told = []
+
+    def noted(_network, crops, kernel, others, *, sigma):
+        told.append((crops, kernel, others, sigma))
+        return np.pad(np.rot90(kernel, 2), ((1, 0), (1, 0)))
+
+    monkeypatch.setattr(module, "corrected_kernel", noted)
+    kernels = tuple(bent().psf(63) if i == 3 else Trajectory.straight(5.0 + i, angle_rad=0.3).psf(63) for i in range(6))
+    found = FoundKernels(kernels, np.array([0.9, 0.8, 0.1, 0.7, 0.2, 0.3]), 3, {"chosen": "classical"})
+    estimator = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=2)
+    corrected = estimator.corrected(shaken[None], found)
+    (crops, kernel, others, sigma) = told.pop()
+    assert not told
+    assert np.array_equal(crops, shaken[None])
+    assert kernel is kernels[3]
+    assert [next(i for i, one in enumerate(kernels) if one is other) for other in others] == [5, 4]  # 0, 1: drawn
+    assert sigma == pytest.approx(noise_sigma(shaken))
+    assert corrected.best == 3
+    assert corrected.details == found.details
+    assert mnc_subpixel(corrected.kernels[3], np.rot90(kernels[3], 2)) > 0.99
+    assert all(corrected.kernels[i] is kernels[i] for i in (0, 1, 2, 4, 5))
+    assert estimator_with(monkeypatch, Oracle(STRAIGHT), refine=False).corrected(shaken[None], found) is found
+
+
+def test_a_correction_keeps_the_sum_and_takes_kernels_of_any_frame(shaken):
+    kernels = [STRAIGHT.psf(size) for size in (29, 63, 64)]
+    found = corrected_kernel(load_correction(), shaken[None], kernels[0], kernels[1:], sigma=0.005)
+    alone = corrected_kernel(load_correction(), shaken[None], kernels[0], kernels[1:2], sigma=0.005)
+    assert found.shape == (64, 64)
+    assert found.min() >= 0
+    assert found.sum() == pytest.approx(1)
+    assert mnc_subpixel(found, STRAIGHT.psf(64)) > 0.95
+    np.testing.assert_allclose(alone, found, atol=1e-4)  # the other one stands for both
 
 
 def test_only_distinct_candidates_are_refined():

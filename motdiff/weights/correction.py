@@ -1,0 +1,68 @@
+"""Weights file of the correction of searched kernels, float16."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from safetensors.torch import save
+from torch import Tensor
+
+from motdiff import weights_io
+from motdiff.io.outputs import write_bytes
+from motdiff.network.correction import CorrectionNetwork
+from motdiff.weights_io import fill, halved
+
+__all__ = ["CORRECTION_WEIGHTS", "SCHEMA", "load_correction", "read_card", "write_correction"]
+
+SCHEMA = "motdiff.correction/1"
+CORRECTION_WEIGHTS = Path(__file__).with_name("correction.safetensors")
+"""The weights in the package."""
+
+
+def write_correction(state: Mapping[str, Tensor], target: Path | str, *, about: Mapping[str, Any]) -> int:
+    """Write a network's weights as float16; returns the bytes.
+
+    Parameters
+    ----------
+    state : mapping of tensors
+        Of a :class:`motdiff.network.correction.CorrectionNetwork`.
+    target : .safetensors file to write
+    about : mapping
+        Figures of its training, for the header.
+
+    Raises
+    ------
+    ValueError
+        If float16 cannot hold them.
+    """
+    data = save(halved(state, source=target), {SCHEMA: json.dumps(about)})
+    write_bytes(Path(target), data)
+    return len(data)
+
+
+def read_card(path: Path | str = CORRECTION_WEIGHTS) -> dict[str, Any]:
+    """Read the header of a weights file: the figures of its training.
+
+    Raises
+    ------
+    ValueError
+        If the file is not one of ours.
+    """
+    return weights_io.read_card(path, SCHEMA)
+
+
+def load_correction(path: Path | str = CORRECTION_WEIGHTS) -> CorrectionNetwork:
+    """Build the network with the weights of a file, in eval mode and float32.
+
+    Raises
+    ------
+    ValueError
+        If the file is not one of ours.
+    """
+    read_card(path)
+    network = CorrectionNetwork()
+    fill(network, path)
+    return network

@@ -1,0 +1,1 @@
+"""Training of the correction of searched kernels (:mod:`motdiff.network.correction`)."""

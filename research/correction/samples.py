@@ -1,0 +1,151 @@
+"""Training samples: kernels that a search finds in simulated photos, what the photos tell of them, and the truth."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from motdiff.estimators.kernel_score import noise_sigma
+from motdiff.estimators.pmp import PmpEstimator
+from motdiff.io.inputs import regular_file
+from motdiff.io.outputs import new_file
+from motdiff.network.correction import CorrectionNetwork, corrected, correction_maps
+from motdiff.network.sampling import psfs_of_maps
+from motdiff.psf_frame import in_frame
+from motdiff.threads import one_thread_a_call
+from motdiff.training.motion_bank import MotionMix, build_bank
+from motdiff.training.samples import Samples, registration, shifted, simulate
+from motdiff.training.simulation import Photography
+
+__all__ = ["SHARD_PHOTOS", "Kernels", "alike", "prepare", "read_kernels", "searched"]
+
+SHARD_PHOTOS = 16
+LEAST_ALIKE = 0.4
+"""A kernel less like the true one is lost: it says nothing about where the path lies."""
+_SHIFT_PX = 2
+
+
+@dataclass(frozen=True)
+class Kernels:
+    """Kernels found in photos.
+
+    Attributes
+    ----------
+    maps : (N, 11, 64, 64) float16
+        From :func:`motdiff.network.correction.correction_maps`; the first is the kernel itself.
+    truth : (N, 64, 64) float16
+        True PSFs, laid on the kernels to a quarter of a pixel.
+    """
+
+    maps: Tensor
+    truth: Tensor
+
+    def __len__(self) -> int:
+        return len(self.maps)
+
+
+def alike(kernels: Tensor, truth: Tensor) -> Tensor:
+    """MNC (B,) of kernels (B, 64, 64) with the true ones over shifts of up to 2 px; differentiable."""
+    padded = functional.pad(kernels, (_SHIFT_PX,) * 4)
+    products = functional.conv2d(padded[None], truth[:, None], groups=len(truth))[0]
+    norms = (kernels.square().sum(dim=(1, 2)) * truth.square().sum(dim=(1, 2))).sqrt()
+    return products.flatten(1).amax(dim=1) / norms.clamp(min=1e-9)
+
+
+def searched(samples: Samples, *, network: CorrectionNetwork | None = None) -> Kernels:
+    """Search the kernels of simulated photos as ``cep calibrate`` does, and lay the true ones on them.
+
+    Lost ones are left out. The two others of each are the next ones in the order of the search's starts. With a
+    ``network`` the kernels are those that it has corrected: samples of a second pass.
+    """
+    maps, truth = [], []
+    with torch.no_grad(), one_thread_a_call():
+        for photo, dwell in zip(samples.photos.mean(dim=1), samples.dwell, strict=True):
+            grey = photo.double().numpy()
+            found = [in_frame(kernel) for kernel in PmpEstimator().kernels(grey[None])]
+            kernels = torch.from_numpy(np.stack(found)).float()
+            others = torch.stack([kernels.roll(-i, 0)[[1, -1]] for i in range(len(kernels))])
+            path = dwell.expand(len(kernels), -1, -1, -1)
+            laid = psfs_of_maps(shifted(path, registration(kernels[:, None], path))[:, 0])
+            kept = alike(kernels, laid) >= LEAST_ALIKE
+            sigma = noise_sigma(grey)
+            seen = correction_maps(photo[None], kernels, others, sigma=sigma)
+            if network is not None:
+                seen = correction_maps(photo[None], corrected(network, seen), others, sigma=sigma)
+            maps.append(seen[kept].half())
+            truth.append(laid[kept].half())
+    return Kernels(torch.cat(maps), torch.cat(truth))
+
+
+def prepare(
+    folder: Path | str,
+    *,
+    scenes: Sequence[Tensor],
+    mix: MotionMix,
+    photography: Photography,
+    shards: range,
+    seed: int,
+    network: CorrectionNetwork | None = None,
+    on_shard: Callable[[int], None] = lambda _shard: None,
+) -> None:
+    """Write the missing ones of the ``shards`` (16 photos each); each depends on its number and the seed only.
+
+    Parameters
+    ----------
+    folder : path, made when missing
+    scenes, mix, photography
+        As for :func:`motdiff.training.samples.simulate`.
+    shards : range
+    seed : int
+    network : CorrectionNetwork, optional
+        As for :func:`searched`.
+    on_shard : callable, optional
+        Called with the number of every finished shard.
+    """
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    for shard in shards:
+        file = target / f"kernels_{shard:05d}.npz"
+        if not file.exists():
+            bank = build_bank(mix, count=SHARD_PHOTOS, seed=seed, first=shard * SHARD_PHOTOS)
+            number = seed * 1_000_003 + shard
+            index = torch.arange(SHARD_PHOTOS)
+            samples = simulate(bank, scenes, index, photography=photography, physics=False, seed=number)
+            kernels = searched(samples, network=network)
+            with new_file(file) as temporary:
+                np.savez(temporary, maps=kernels.maps.numpy(), truth=kernels.truth.numpy())
+        on_shard(shard)
+
+
+def read_kernels(*folders: Path | str) -> Kernels:
+    """Read every shard of some folders into memory, 0.1 MB a kernel.
+
+    Raises
+    ------
+    ValueError
+        If a folder has none, or one is damaged.
+    """
+    maps, truth = [], []
+    for file in chain.from_iterable(map(_shards, folders)):
+        try:
+            with regular_file(file).open("rb") as stream, np.load(stream) as stored:
+                maps.append(torch.from_numpy(stored["maps"]))
+                truth.append(torch.from_numpy(stored["truth"]))
+        except (zipfile.BadZipFile, EOFError, KeyError) as error:
+            raise ValueError(f"{file}: is damaged ({error}); delete it and prepare it again") from error
+    return Kernels(torch.cat(maps), torch.cat(truth))
+
+
+def _shards(folder: Path | str) -> list[Path]:
+    files = sorted(file for file in Path(folder).glob("kernels_*.npz") if ".partial" not in file.suffixes)
+    if not files:
+        raise ValueError(f"{folder}: holds no kernels_*.npz; write them with: python -m research.correction prepare")
+    return files
