@@ -1,14 +1,15 @@
-"""What MoTDiff adds to ``pmp`` in ``cep calibrate``: paired MNC and processor time, by motion, noise and detail.
+"""What the two networks add to ``pmp`` in ``cep calibrate``: paired MNC and processor time, by motion and noise.
 
     python benchmarks/motdiff_gain.py rows FILE --prepared CONFIG [--draws 8]       # held-out photos of a run
     python benchmarks/motdiff_gain.py rows FILE --data DIR --protocol NAME [--gyro RECORDING]
     python benchmarks/motdiff_gain.py table FILE...
 
-Each photo is estimated by ``pmp``, by ``motdiff``, and by two others. ``pmp+`` is the search of ``pmp`` with the
-refinement of ``motdiff``: all of it but the network. ``pmp4+`` also runs all four searches where the first two agree,
-which takes about the time of ``motdiff``. A search that several need is run once, and its time counts for each. CONFIG
-is a run's TOML file with prepared samples; there the network alone is measured too. DIR and NAME are those of ``cep
-bench blind``. One thread; a row is appended as soon as it is done, and an interrupted bench goes on where it stopped.
+Each photo is estimated by ``pmp``, by ``motdiff``, and by two others, which each lack one of its networks. ``pmp+`` is
+``pmp`` with the refinement and the correction of ``motdiff``: all of it but the diffusion network. ``uncorrected`` is
+``motdiff`` without the correction. A search that several need is run once, and its time counts for each. CONFIG is a
+run's TOML file with prepared samples; there the diffusion network alone is measured too. DIR and NAME are those of
+``cep bench blind``. One thread; a row is appended as soon as it is done, and an interrupted bench goes on where it
+stopped.
 """
 
 from __future__ import annotations
@@ -32,27 +33,31 @@ from cep.bench.blind.run import blind_plan
 from cep.bench.statistics import mean_interval
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, FoundKernels
-from motdiff.estimators.kernel_score import noise_sigma, rank_kernels
+from motdiff.estimators.kernel_score import distinct, noise_sigma, rank_kernels
 from motdiff.estimators.motdiff import MotDiffEstimator
+from motdiff.estimators.motdiff.correcting import corrected_choice, corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import refined
 from motdiff.evaluation.draws import measure_draws
 from motdiff.evaluation.sets import levin_photo
 from motdiff.io.gyro_tables import read_gyro
-from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
+from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network import MotDiffNetwork
+from motdiff.network.correction import CorrectionNetwork
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.threads import one_thread, side_by_side
 from motdiff.training.config import read_config
 from motdiff.training.motion_bank import drawn_kinds
 from motdiff.training.prepared import read_shards
 from motdiff.weights import load_network
+from motdiff.weights.correction import load_correction
 
 FloatArray = np.ndarray
 
-METHODS = ("pmp", "pmp+", "pmp4+", "motdiff")
+METHODS = ("pmp", "pmp+", "uncorrected", "motdiff")
 _STEPS = (1, 10)
+_LAST_DRAWS = "ddim:10, corrected"
 _REFINED = 3  # as in MotDiffEstimator
 _NOISE = (0.003, 0.009)  # 0.01 of full scale is found as 0.0095 to 0.0105
 _CONFIDENCE = (0.7, 0.9)
@@ -80,43 +85,45 @@ class Photo:
     conditions: FloatArray | None = None
 
 
-class PmpRefined(PmpEstimator):
-    """PMP whose three likeliest different kernels are refined, and judged again with the others."""
+class PmpCorrected(PmpEstimator):
+    """PMP whose three likeliest different kernels are refined and judged again, and the best of these corrected."""
 
     method = "pmp+"
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._correction = load_correction()
+
     def search(self, crops: FloatArray) -> FoundKernels:
         """Run the starts on the crops (C, H, W), and refine the likeliest kernels."""
-        kernels = self.searched(crops)
+        kernels = self.kernels(crops)
         alike = mnc_matrix(kernels)
         order = np.argsort(-rank_kernels(crops, kernels).probabilities)
-        chosen = [int(order[0])]
-        for i in order[1:]:
-            if len(chosen) < _REFINED and all(alike[i, j] < SAME_KERNEL_MNC for j in chosen):
-                chosen.append(int(i))
-        sigma = float(np.median([noise_sigma(crop) for crop in crops]))
-        sharpened = side_by_side([partial(refined, crops, kernels[i], sigma) for i in chosen])
+        chosen = distinct(alike, order[:1], order[1:], most=_REFINED)
+        sharpened = side_by_side([partial(refined, crops, kernels[i], _sigma(crops)) for i in chosen])
         for i, kernel in zip(chosen, sharpened, strict=True):
             kernels[i] = kernel
         probabilities = rank_kernels(crops, kernels).probabilities
         best = max(chosen, key=lambda i: probabilities[i])
         return FoundKernels(tuple(kernels), probabilities, best, {})
 
-    def searched(self, crops: FloatArray) -> list[FloatArray]:
-        """Kernels of the starts that ``pmp`` runs."""
-        return self.kernels(crops)
+    def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:
+        """Correct the kernels as ``motdiff`` does."""
+        return corrected_choice(self._correction, crops, found, most=_REFINED)
 
 
-class PmpFour(PmpRefined):
-    """The same of all four starts, whether or not the first two agree."""
+class Uncorrected(MotDiffEstimator):
+    """MoTDiff without the correction."""
 
-    method = "pmp4+"
+    method = "uncorrected"
 
-    def searched(self, crops: FloatArray) -> list[FloatArray]:
-        """Kernels of all starts."""
-        found = self.kernels(crops)
-        others = [partial(self._run, crops, start, tell=lambda _share: None) for start in self._starts[len(found) :]]
-        return [*found, *side_by_side(others)]
+    def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:  # noqa: ARG002
+        """Leave the kernel as it is."""
+        return found
+
+
+def _sigma(crops: FloatArray) -> float:
+    return float(np.median([noise_sigma(crop) for crop in crops]))
 
 
 class SharedSearch:
@@ -178,7 +185,7 @@ def protocol_photos(folder: Path, protocol: Protocol, recording: Path | None) ->
 
 def estimators() -> dict[str, Estimator]:
     """Make the methods."""
-    return dict(zip(METHODS, (PmpEstimator(), PmpRefined(), PmpFour(), MotDiffEstimator()), strict=True))
+    return dict(zip(METHODS, (PmpEstimator(), PmpCorrected(), Uncorrected(), MotDiffEstimator()), strict=True))
 
 
 def row_of(photo: Photo, methods: dict[str, Estimator], shared: SharedSearch) -> dict[str, object]:
@@ -202,21 +209,26 @@ def _chosen(details: object) -> dict[str, object]:
     return {"chosen": details["chosen"]} if isinstance(details, dict) and "chosen" in details else {}
 
 
-def drawn(network: MotDiffNetwork, photo: Photo, count: int, number: int) -> dict[str, object]:
-    """Draws of the network alone, told of the kernels prepared with the photo."""
+def drawn(
+    network: MotDiffNetwork, correction: CorrectionNetwork, photo: Photo, count: int, number: int
+) -> dict[str, object]:
+    """Draws of the network alone, told of the kernels prepared with the photo, and the same corrected."""
     figures: dict[str, object] = {}
+    crops, others = luminance(photo.light)[None], list(photo.conditions[:2])
     for steps in _STEPS:
         draws = draw_psfs(
             network,
-            luminance(photo.light)[None],
+            crops,
             photo.conditions,
             count=count,
             steps=steps,
             generator=torch.Generator().manual_seed(number),
         )
-        found = measure_draws(list(draws), photo.psf)
-        mncs = [mnc_subpixel(draw, photo.psf) for draw in draws]
-        figures[f"ddim:{steps}"] = {"mnc": mncs, "best": found.best, "alike": found.alike, "covered": found.covered}
+        better = [corrected_kernel(correction, crops, draw, others, sigma=_sigma(crops)) for draw in draws]
+        for name, kernels in ((f"ddim:{steps}", list(draws)), (f"ddim:{steps}, corrected", better)):
+            found = measure_draws(kernels, photo.psf)
+            mncs = [mnc_subpixel(kernel, photo.psf) for kernel in kernels]
+            figures[name] = {"mnc": mncs, "best": found.best, "alike": found.alike, "covered": found.covered}
     return figures
 
 
@@ -226,16 +238,17 @@ def write_rows(file: Path, photos: Iterable[Photo], draws: int) -> None:
     shared = SharedSearch(PmpEstimator.kernels)
     # the methods compared share each photo's search; type: pmp's own class is changed, for this process alone
     PmpEstimator.kernels = lambda *given, **options: shared.kernels(*given, **options)  # type: ignore[method-assign]
-    methods, network = estimators(), load_network()
+    methods, network, correction = estimators(), load_network(), load_correction()
     with torch.no_grad(), one_thread():
         for number, photo in enumerate(photos):
             known = there.get(photo.name, {})
             missing = {name: estimator for name, estimator in methods.items() if name not in known}
-            if not missing:
+            draws_missing = photo.conditions is not None and draws > 1 and _LAST_DRAWS not in known
+            if not missing and not draws_missing:
                 continue
             row = row_of(photo, missing, shared)
-            if photo.conditions is not None and draws > 1 and "ddim:1" not in known:
-                row |= drawn(network, photo, draws, number)
+            if draws_missing:
+                row |= drawn(network, correction, photo, draws, number)
             with file.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(row) + "\n")
 
@@ -294,14 +307,14 @@ def table(rows: list[dict]) -> Iterator[str]:
         if some:
             yield line(name, some)
     yield line("CPU-s", whole, "cpu_s")
-    known = [row for row in rows if "ddim:1" in row]
-    for steps in _STEPS if known else ():
-        of = [row[f"ddim:{steps}"] for row in known]
+    known = [row for row in rows if _LAST_DRAWS in row]
+    for name in [f"ddim:{steps}{ending}" for steps in _STEPS for ending in ("", ", corrected")] if known else ():
+        of = [row[name] for row in known]
         one, best, alike, covered = (
-            np.mean([np.mean(figures[name]) for figures in of]) for name in ("mnc", "best", "alike", "covered")
+            np.mean([np.mean(figures[key]) for figures in of]) for key in ("mnc", "best", "alike", "covered")
         )
         yield (
-            f"\nThe network alone, {steps} step{'s' * (steps > 1)}, {len(of)} photos: one draw {one:.3f}, "
+            f"\nThe network alone, {name}, {len(of)} photos: one draw {one:.3f}, "
             f"best of {len(of[0]['mnc'])} {best:.3f}, two draws alike {alike:.3f}, truth among them {covered:.3f}"
         )
 

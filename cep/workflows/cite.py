@@ -33,6 +33,7 @@ _NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "gyro": (),
         "coded": _JOINT_FIT,
         "network": _NETWORK,
+        "networks": _NETWORK,
         "parametric": ("zhang2022etr",),
         "psf-diffusion": ("sanghvi2024", "ho2020"),
         "selfdeblur": ("ren2020", "ulyanov2018"),

@@ -86,11 +86,11 @@ def estimate_from_figures(figures: Mapping[str, Figure]) -> tuple[MotionEstimate
 
 def estimator_version(method: str) -> str:
     """Fingerprint of all that makes an estimate: the code and, where there are, the weights."""
-    files = []
+    files: tuple[Path, ...] = ()
     if method == "motdiff":
-        from motdiff.weights import DEFAULT_WEIGHTS
+        from motdiff.weights import MOTDIFF_FILES
 
-        files.append(DEFAULT_WEIGHTS)
+        files = MOTDIFF_FILES
     named = f"motdiff.estimators.{method}" if method in METHODS else method.partition(":")[0]
     followed = [named, "motdiff.simulate"]
     decoding = ["cep.io.images", "motdiff.io.decoding"]

@@ -86,6 +86,8 @@ class FoundKernels:
         Figures for the report.
     warnings : tuple of str
         Warnings for the user, one sentence each.
+    origins : tuple of K str
+        Where each kernel comes from, for the report; empty where all are of one kind.
     """
 
     kernels: tuple[NDArray[np.float64], ...]
@@ -93,6 +95,7 @@ class FoundKernels:
     best: int
     details: dict[str, object] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    origins: tuple[str, ...] = ()
 
     @property
     def confidence(self) -> float:

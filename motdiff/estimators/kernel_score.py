@@ -7,7 +7,7 @@ the *phase* distinguishes a kernel from its point reflection (same power). Both 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -26,6 +26,7 @@ __all__ = [
     "Ranking",
     "Spectrum",
     "candidate_probabilities",
+    "distinct",
     "kernel_score",
     "noise_sigma",
     "rank_kernels",
@@ -272,6 +273,26 @@ def candidate_probabilities(evidence: FloatArray, alike: FloatArray, *, samples:
     is_classical = (index >= samples) & (index < samples + classical)
     among_classical = alike[:, samples : samples + classical].sum(axis=1) / np.maximum(classical - is_classical, 1)
     return _probabilities(kernel_score(evidence, (among_samples + among_classical) / 2), _DRAWN)
+
+
+def distinct(alike: FloatArray, first: Iterable[int], order: Iterable[int], *, most: int) -> list[int]:
+    """Choose those of ``first``, then the first of ``order`` that are not the same kernel as one chosen before.
+
+    Parameters
+    ----------
+    alike : (K, K) float
+        MNC of every pair.
+    first, order : int
+    most : int
+        How many to choose; those of ``first`` at least.
+    """
+    chosen = list(first)
+    for i in order:
+        if len(chosen) >= most:
+            break
+        if all(alike[i, j] < SAME_KERNEL_MNC for j in chosen):
+            chosen.append(int(i))
+    return chosen
 
 
 def _probabilities(scores: FloatArray, calibration: tuple[float, float]) -> FloatArray:

@@ -93,7 +93,7 @@ class BlindEstimator(ABC):
         return kernel
 
     def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:  # noqa: ARG002
-        """Improve the best kernel found in the crops (C, H, W), after all tests of it; unchanged by default."""
+        """Improve the kernels found in the crops (C, H, W), after all tests of the best; unchanged by default."""
         return found
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
@@ -311,6 +311,7 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
             "crops": len(level.crops),
             "scale": 1 / level.factor,
             **found.details,
+            **({"chosen": found.origins[found.best]} if found.origins else {}),
             "trajectory_psf_mnc": mnc_subpixel(psf, drawn),
             "psf_confidence": found.confidence,
             "path_confidence": confidence * _path_share(trajectories[0], tangled=tangled),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +12,21 @@ from numpy.typing import NDArray
 
 from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
 from motdiff.io.plugins import is_reference
+from motdiff.psf_frame import in_frame
 
 __all__ = ["METHODS", "SLOW_METHODS", "NetworkAlone", "named_estimators", "split_weights"]
 
 SLOW_METHODS = ("selfdeblur", "blinddps")
 """Hours per photo on a CPU: run only where they are named."""
 
-METHODS = ("pmp", "motdiff", "network", "parametric", "psf-diffusion", *SLOW_METHODS)
+METHODS = ("pmp", "motdiff", "network", "networks", "parametric", "psf-diffusion", *SLOW_METHODS)
 """Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both take one DDIM step where
-none are named), ``network:SAMPLER:STEPS:DRAWS``, which measures that many draws of each photo as well,
+none are named), ``network:SAMPLER:STEPS:DRAWS``, which measures that many draws of each photo as well, ``networks``
+with the same additions, whose draws are corrected by the second network,
 ``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps tells only what it needs.
 ``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE`` take other weights than the package's."""
 
-_WITH_WEIGHTS = ("motdiff", "network")
+_WITH_WEIGHTS = ("motdiff", "network", "networks")
 
 
 class NetworkAlone:
@@ -41,15 +44,25 @@ class NetworkAlone:
     seed : int
     count : int
         Number of draws. The first is the estimate, which has them all where there are several.
+    corrected : bool
+        Whether each draw is corrected (:mod:`motdiff.network.correction`), told of the kernels of quick searches.
     """
 
     def __init__(
-        self, weights: Path | None = None, *, sampler: str = "ddim", steps: int = 1, seed: int = 0, count: int = 1
+        self,
+        weights: Path | None = None,
+        *,
+        sampler: str = "ddim",
+        steps: int = 1,
+        seed: int = 0,
+        count: int = 1,
+        corrected: bool = False,
     ) -> None:
         import torch
 
         from motdiff.network.diffusion import cosine_schedule, samples
         from motdiff.weights import load_network
+        from motdiff.weights.correction import load_correction
 
         # refuses an unknown sampler or number of steps now, not at every photo
         samples(
@@ -59,6 +72,7 @@ class NetworkAlone:
         if count < 1:
             raise ValueError(f"count: must be at least 1, got {count}")
         self._sampler, self._steps, self._seed, self._count = sampler, steps, seed, count
+        self._correction = load_correction() if corrected else None
 
     def estimate(self, photo: NDArray[np.float64]) -> MotionEstimate:
         """Draw motions from ``photo``, (H, W) or (H, W, 3)."""
@@ -66,15 +80,16 @@ class NetworkAlone:
 
         from motdiff.crops import luminance
         from motdiff.estimators.kernel_score import noise_sigma
+        from motdiff.estimators.motdiff.correcting import corrected_kernel
         from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
         from motdiff.tracing import simplest_trajectory
 
-        grey = luminance(photo)
-        classical = np.zeros((0, 64, 64))
-        if self._network.physics is not None:
-            classical = quick_search(grey[None], sigma=noise_sigma(grey))
+        grey, method = luminance(photo), "network"
+        sigma, classical = noise_sigma(grey), np.zeros((0, 64, 64))
+        if self._network.physics is not None or self._correction is not None:
+            classical = quick_search(grey[None], sigma=sigma)
         generator = torch.Generator().manual_seed(self._seed)
-        psf, *others = draw_psfs(
+        drawn = draw_psfs(
             self._network,
             grey[None],
             classical,
@@ -83,8 +98,12 @@ class NetworkAlone:
             generator=generator,
             method=self._sampler,
         )
-        draws = (psf, *others) if others else ()
-        return MotionEstimate("network", (simplest_trajectory(psf),), (1.0,), psf, confidence=0.0, draws=draws)
+        if self._correction is not None:
+            others, method = list(classical[:2]), "networks"
+            better = [corrected_kernel(self._correction, grey[None], psf, others, sigma=sigma) for psf in drawn]
+            drawn = in_frame(np.stack(better))
+        psf, draws = drawn[0], tuple(drawn) if len(drawn) > 1 else ()
+        return MotionEstimate(method, (simplest_trajectory(psf),), (1.0,), psf, confidence=0.0, draws=draws)
 
 
 def split_weights(method: str) -> tuple[str, Path | None]:
@@ -169,12 +188,13 @@ def _of_network(method: str, weights: Path | None) -> Estimator:
         from motdiff.estimators.motdiff import MotDiffEstimator
 
         return MotDiffEstimator(weights=weights)
+    alone = partial(NetworkAlone, weights, corrected=method.startswith("networks"))
     match method.split(":"):
-        case ["network"]:
-            return NetworkAlone(weights)
-        case ["network", sampler, steps] if steps.isdigit():
-            return NetworkAlone(weights, sampler=sampler, steps=int(steps))
-        case ["network", sampler, steps, count] if steps.isdigit() and count.isdigit() and int(count) > 0:
-            return NetworkAlone(weights, sampler=sampler, steps=int(steps), count=int(count))
-    known = "network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS"
+        case ["network" | "networks"]:
+            return alone()
+        case ["network" | "networks", sampler, steps] if steps.isdigit():
+            return alone(sampler=sampler, steps=int(steps))
+        case ["network" | "networks", sampler, steps, count] if steps.isdigit() and count.isdigit() and int(count) > 0:
+            return alone(sampler=sampler, steps=int(steps), count=int(count))
+    known = "network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS, or networks with the same additions"
     raise ValueError(f"method: must be {known}, got {method!r}")

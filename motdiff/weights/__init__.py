@@ -15,10 +15,12 @@ from motdiff.io.inputs import one_line
 from motdiff.io.outputs import write_bytes
 from motdiff.network import MotDiffNetwork, NetworkConfig, PathNetwork, build_network
 from motdiff.training.checkpoint import read_checkpoint
+from motdiff.weights.correction import CORRECTION_WEIGHTS
 from motdiff.weights_io import halved, read_header, read_tensors
 
 __all__ = [
     "DEFAULT_WEIGHTS",
+    "MOTDIFF_FILES",
     "PATH_WEIGHTS",
     "PHOTO_PARTS",
     "PSF_WEIGHTS",
@@ -32,6 +34,8 @@ __all__ = [
 DEFAULT_WEIGHTS = Path(__file__).with_name("motdiff.safetensors")
 PATH_WEIGHTS = Path(__file__).with_name("parametric.safetensors")
 PSF_WEIGHTS = Path(__file__).with_name("psf_diffusion.safetensors")
+MOTDIFF_FILES = (DEFAULT_WEIGHTS, CORRECTION_WEIGHTS)
+"""All that the method ``motdiff`` reads: what is cached of it depends on them."""
 PHOTO_PARTS = ("photo.", "fusion.")
 """First parts of the names of a photo encoder's parameters, and of the layer that adds its features to others."""
 _SCHEMA = "motdiff.weights/1"

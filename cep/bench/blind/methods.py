@@ -10,6 +10,7 @@ from cep.jobs.fingerprint import source_version
 from motdiff.evaluation.methods import METHODS, named_estimators, split_weights
 from motdiff.io.plugins import is_reference
 from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS, PSF_WEIGHTS
+from motdiff.weights.correction import CORRECTION_WEIGHTS
 
 __all__ = ["OURS", "SMALL_BUDGETS", "UNUSUAL", "USUAL", "budget_warning", "label_of", "select_methods", "version_of"]
 
@@ -17,7 +18,7 @@ USUAL = ("pmp", "motdiff", "network", "parametric", "psf-diffusion")
 """Estimators of every table."""
 UNUSUAL = {"selfdeblur": "takes hours a photo", "blinddps": "needs weights, named blinddps:FOLDER"}
 """Estimators that are measured when named, and why only then."""
-OURS = ("motdiff", "network")
+OURS = ("motdiff", "networks", "network")
 """The first of these that is measured is what others are compared with."""
 SMALL_BUDGETS = {"parametric": 16_016, "psf-diffusion": 12_816}
 """Samples that the shipped baselines were trained on, after a start from MoTDiff's condition network."""
@@ -25,11 +26,14 @@ SMALL_BUDGETS = {"parametric": 16_016, "psf-diffusion": 12_816}
 _WEIGHTS = {
     "motdiff": DEFAULT_WEIGHTS,
     "network": DEFAULT_WEIGHTS,
+    "networks": DEFAULT_WEIGHTS,
     "parametric": PATH_WEIGHTS,
     "psf-diffusion": PSF_WEIGHTS,
 }
+_CORRECTED = ("motdiff", "networks")
 _FOLLOWED = {
     "network": "motdiff.estimators.motdiff",
+    "networks": "motdiff.estimators.motdiff",
     "parametric": "motdiff.baselines.parametric",
     "psf-diffusion": "motdiff.baselines.psf_diffusion",
     "selfdeblur": "motdiff.baselines.selfdeblur",
@@ -116,6 +120,7 @@ def version_of(method: str) -> str:
         files = sorted(path for path in Path(folder).rglob("*") if path.is_file())
     else:
         files = [] if weights is None else [weights]
+        files += [CORRECTION_WEIGHTS] if first in _CORRECTED else []
     return source_version(followed, alone=[*alone, "motdiff.evaluation.methods"], files=files)
 
 

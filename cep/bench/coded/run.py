@@ -23,7 +23,7 @@ from motdiff.io.plugins import is_reference
 from motdiff.simulate import border_px
 from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
-from motdiff.weights import DEFAULT_WEIGHTS, PATH_WEIGHTS
+from motdiff.weights import MOTDIFF_FILES, PATH_WEIGHTS
 
 __all__ = [
     "ESTIMATORS",
@@ -434,9 +434,9 @@ _EXPOSED = (
     "motdiff.crops",
 )  # fmt: skip
 """From the file to the photo."""
-_ESTIMATED: dict[str, tuple[str, Path]] = {
-    "motdiff": ("motdiff.estimators.motdiff", DEFAULT_WEIGHTS),
-    "parametric": ("motdiff.baselines.parametric", PATH_WEIGHTS),
+_ESTIMATED: dict[str, tuple[str, tuple[Path, ...]]] = {
+    "motdiff": ("motdiff.estimators.motdiff", MOTDIFF_FILES),
+    "parametric": ("motdiff.baselines.parametric", (PATH_WEIGHTS,)),
 }
 _LIGHT = "cep.search.light"
 _PUBLISHED = "cep.codes.published"
@@ -458,7 +458,7 @@ def motion_version(kind: str) -> str:
     shared = ["motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
     if kind in ESTIMATORS:
         module, weights = _ESTIMATED[ESTIMATORS[kind]]
-        return source_version([module, *shared], alone=[*_EXPOSED, "motdiff.evaluation.methods"], files=[weights])
+        return source_version([module, *shared], alone=[*_EXPOSED, "motdiff.evaluation.methods"], files=weights)
     module = f"motdiff.estimators.coded.{'trail_estimator' if kind == POINT else 'estimator'}"
     return source_version([module, *shared], alone=[*_EXPOSED, _CALIBRATIONS])
 

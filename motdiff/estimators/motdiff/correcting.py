@@ -1,21 +1,62 @@
-"""Correction of kernels on crops of a photo: arrays in, arrays out."""
+"""Correction of kernels on crops of a photo, and the choice among corrected ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from motdiff.estimators.base import FoundKernels
+from motdiff.estimators.kernel_score import Judge, distinct, kernel_score
+from motdiff.metrics import mnc_matrix
 from motdiff.network.correction import CorrectionNetwork, corrected, correction_maps
-from motdiff.psf_frame import in_frame
+from motdiff.psf_frame import PSF_PX, in_frame
+from motdiff.threads import side_by_side
 
-__all__ = ["corrected_kernel"]
+__all__ = ["corrected_choice", "corrected_kernel"]
 
 FloatArray = NDArray[np.float64]
 
 _PASSES = 2  # what the photo tells of a corrected kernel is more
+
+
+def corrected_choice(
+    network: CorrectionNetwork, crops: FloatArray, found: FoundKernels, *, most: int, skip: int = 0
+) -> FoundKernels:
+    """Correct the best kernel and the likeliest different ones, and choose among these by the photo alone.
+
+    The chosen one gets the highest probability that these had before, and so on.
+
+    Parameters
+    ----------
+    network : CorrectionNetwork
+        In eval mode, on the CPU.
+    crops : (C, H, W) float, grey, linear light
+    found : FoundKernels
+        What was found in the crops.
+    most : int
+        How many to correct.
+    skip : int
+        So many of the first kernels take no part.
+    """
+    judge, kernels, probabilities = Judge(crops), list(found.kernels), found.probabilities.copy()
+    likely = [int(i) for i in np.argsort(-probabilities) if i >= skip]
+    chosen = distinct(mnc_matrix(kernels), [found.best], likely, most=most)
+
+    def better(i: int) -> FloatArray:
+        others = [found.kernels[j] for j in likely if j != i][:2]
+        return corrected_kernel(network, crops, found.kernels[i], others, sigma=judge.sigma)
+
+    made = side_by_side([partial(better, i) for i in chosen])
+    ranked = [chosen[n] for n in np.argsort(-kernel_score(judge.evidence(made)))]
+    probabilities[ranked] = -np.sort(-probabilities[chosen])
+    for i, kernel in zip(chosen, made, strict=True):
+        kernels[i] = kernel
+    return replace(found, kernels=tuple(kernels), probabilities=probabilities, best=ranked[0])
 
 
 def corrected_kernel(
@@ -41,7 +82,7 @@ def corrected_kernel(
 
     Returns
     -------
-    (64, 64) float: non-negative, sum 1.
+    (63, 63) float: non-negative, sum 1.
     """
     light = torch.from_numpy(crops.astype(np.float32))
     framed = torch.from_numpy(np.stack([_framed(each) for each in (kernel, *others)]))
@@ -49,7 +90,8 @@ def corrected_kernel(
     with torch.inference_mode():
         for _ in range(_PASSES):
             found = corrected(network, correction_maps(light, found, instead, sigma=sigma))
-    return np.asarray(found[0].double().numpy(), dtype=np.float64)
+    odd = in_frame(found[0].double().numpy(), PSF_PX - 1)
+    return np.asarray(odd / odd.sum(), dtype=np.float64)
 
 
 def _framed(kernel: FloatArray) -> NDArray[np.float32]:

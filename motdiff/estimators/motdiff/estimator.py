@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,13 +11,13 @@ import torch
 from numpy.typing import NDArray
 
 from motdiff.estimators.base import FoundKernels
-from motdiff.estimators.kernel_score import Judge, candidate_probabilities, noise_sigma
-from motdiff.estimators.motdiff.correcting import corrected_kernel
+from motdiff.estimators.kernel_score import Judge, candidate_probabilities, distinct, noise_sigma
+from motdiff.estimators.motdiff.correcting import corrected_choice
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, planned, refined
-from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
+from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.threads import side_by_side
@@ -32,7 +31,7 @@ FloatArray = NDArray[np.float64]
 _ODD_PX = PSF_PX - 1
 _REFINED = 3
 # processor time of the stages, in starts of the classical search
-_DRAW_COST, _JUDGE_COST, _REFINE_COST, _SINGLE_COST, _CORRECT_COST, _TRACE_COST = 0.4, 0.2, 0.45, 0.35, 0.25, 0.25
+_DRAW_COST, _JUDGE_COST, _REFINE_COST, _SINGLE_COST, _CORRECT_COST, _TRACE_COST = 0.4, 0.2, 0.45, 0.35, 0.6, 0.25
 _DOUBT = 0.02  # share of the peak: off the path a network's output is never quite 0
 # of the search's starts, those that stand for the shortened ones the network was trained with; the first two agreeing,
 # the larger one stands for the one not run as well
@@ -44,8 +43,8 @@ class MotDiffEstimator(BlindEstimator):
 
     Classical searches give kernels. The network, conditioned on up to three of them, samples several motions. All are
     scored on the photo (:mod:`motdiff.estimators.kernel_score`), and the most likely ones are refined at full
-    resolution. A second network corrects the likeliest of these (:mod:`motdiff.network.correction`), which may come
-    from a classical kernel or from the draws.
+    resolution. A second network corrects these (:mod:`motdiff.network.correction`), and the same score chooses. The
+    result may come from a classical kernel or from the draws.
 
     Parameters
     ----------
@@ -57,8 +56,7 @@ class MotDiffEstimator(BlindEstimator):
         Denoising steps of each. With one, a draw is the network's mean guess from the photo turned or mirrored its
         way: draws are alike (MNC 0.98), and those beyond the eighth add next to nothing (0.99).
     refine : bool
-        Whether the likeliest kernels, drawn or searched, are refined on the photo at the end, and the best of these
-        corrected.
+        Whether the likeliest kernels, drawn or searched, are refined on the photo at the end, and corrected.
     seed : int
         Of the draws.
     crops : int
@@ -120,21 +118,22 @@ class MotDiffEstimator(BlindEstimator):
         best = int(np.argmax(believed))
         if self._refine:
             likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
-            chosen = _distinct(alike, [likeliest, mean], np.argsort(-believed), most=_REFINED)
+            chosen = distinct(alike, [likeliest, mean], np.argsort(-believed), most=_REFINED)
             sharpened = side_by_side([partial(refined, crops, kernels[i], judge.sigma) for i in chosen])
             kernels += sharpened
             evidence = np.vstack([evidence, judge.evidence(sharpened)])
             believed = candidate_probabilities(evidence, mnc_matrix(kernels), **groups)
             best = mean + 1 + int(np.argmax(believed[mean + 1 :]))  # refined ones are better than what they come from
         self._progress.spend(_REFINE_COST)
-        origin = best if best <= mean else chosen[best - mean - 1]
+        origins = ["sample"] * len(drawn) + ["classical"] * len(classical) + ["mean of samples"]
+        if self._refine:
+            origins += [origins[i] for i in chosen]
         details: dict[str, object] = {
             **groups,
             "steps": self._steps,
             "sample_agreement": _agreement(drawn),
-            "chosen": "sample" if origin < len(drawn) else "mean of samples" if origin == mean else "classical",
         }
-        return FoundKernels(tuple(kernels), believed, best, details)
+        return FoundKernels(tuple(kernels), believed, best, details, origins=tuple(origins))
 
     def single(self, crops: FloatArray, found: FoundKernels) -> list[FloatArray]:  # noqa: ARG002, the base class's
         """Run one quick search on each crop alone."""
@@ -148,18 +147,12 @@ class MotDiffEstimator(BlindEstimator):
         return refined(crops, kernel, float(np.median([noise_sigma(crop) for crop in crops])))
 
     def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:
-        """Correct the best kernel by what the crops (C, H, W) and the likeliest other kernels tell of it."""
+        """Correct the best kernel and the likeliest different ones, and choose anew."""
         if self._correction is None:
             return found
-        order = np.argsort(-found.probabilities)
-        others = [int(i) for i in order if i != found.best and i >= self._samples]  # first the draws, which are alike
-        sigma = float(np.median([noise_sigma(crop) for crop in crops]))
-        kernels = list(found.kernels)
-        instead = [kernels[i] for i in others[:2]]
-        kernel = corrected_kernel(self._correction, crops, kernels[found.best], instead, sigma=sigma)
-        kernels[found.best] = _in_odd_frames(kernel[None])[0]
+        better = corrected_choice(self._correction, crops, found, most=_REFINED, skip=self._samples)  # skip the draws
         self._progress.spend(_CORRECT_COST)
-        return replace(found, kernels=tuple(kernels))
+        return better
 
     def _classical(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Search classical kernels (Q, 64, 64), and select those that condition the network (3, 64, 64)."""
@@ -172,17 +165,6 @@ def _in_odd_frames(psfs: FloatArray) -> list[FloatArray]:
     """Cut PSFs (N, 64, 64) to odd frames of 63 px, exactly 0 off the path, sum 1."""
     odd = without_faint_light(in_frame(psfs, _ODD_PX), below=_DOUBT)
     return list(odd / odd.sum(axis=(1, 2), keepdims=True))
-
-
-def _distinct(alike: FloatArray, first: list[int], order: NDArray[np.intp], *, most: int) -> list[int]:
-    """Those of ``first``, then the first of ``order`` that are not like one chosen before."""
-    chosen = list(first)
-    for i in order:
-        if all(alike[i, j] < SAME_KERNEL_MNC for j in chosen):
-            chosen.append(int(i))
-            if len(chosen) == most:
-                break
-    return chosen
 
 
 def _searched_alone(crop: FloatArray) -> FloatArray:

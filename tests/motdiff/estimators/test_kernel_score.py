@@ -9,6 +9,7 @@ from motdiff.estimators.kernel_score import (
     Phase,
     Spectrum,
     candidate_probabilities,
+    distinct,
     kernel_score,
     noise_sigma,
     rank_kernels,
@@ -107,3 +108,15 @@ def test_the_photo_believes_the_truth_and_not_what_is_lost(crops):
     assert believed.argmax() == 0
     assert believed[0] > 0.7
     assert believed[2:].max() < 0.4
+
+
+def test_distinct_kernels_are_chosen_in_order():
+    straight, longer, upright = (
+        Trajectory.straight(length, angle_rad=angle).psf(63) for length, angle in ((12, 0), (13, 0), (12, 1.5))
+    )
+    alike = mnc_matrix([straight, longer, upright, straight, np.eye(63) / 63])
+    order = np.array([3, 1, 2, 0, 4])
+    assert distinct(alike, [3], order, most=3) == [3, 2, 4]
+    assert distinct(alike, [3], order, most=2) == [3, 2]
+    assert distinct(alike, [4, 0], order, most=4) == [4, 0, 2]
+    assert distinct(alike, [0, 1], order, most=4) == [0, 1, 2, 4]  # the first ones even if they are alike

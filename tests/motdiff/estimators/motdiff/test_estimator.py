@@ -8,14 +8,14 @@ import torch
 
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import noise_sigma
-from motdiff.estimators.motdiff import MotDiffEstimator, drawing
+from motdiff.estimators.motdiff import MotDiffEstimator, correcting, drawing
 from motdiff.estimators.motdiff import estimator as module
 from motdiff.estimators.motdiff.correcting import corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, Start, planned
 from motdiff.evaluation.methods import NetworkAlone, named_estimators
-from motdiff.metrics import mnc_matrix, mnc_subpixel
+from motdiff.metrics import mnc_subpixel
 from motdiff.network import NetworkConfig
 from motdiff.network.physics_maps import QUICK_STARTS, autocorrelation, spectral_maps
 from motdiff.network.sampling import psfs_of_maps
@@ -351,28 +351,31 @@ def test_candidates_come_in_odd_frames_with_their_zero_in_the_middle():
     assert other.sum() == pytest.approx(1)
 
 
-def test_the_best_kernel_is_corrected_and_the_likeliest_searched_ones_are_told_with_it(monkeypatch, shaken):
+def test_the_likeliest_different_kernels_are_corrected_and_the_photo_chooses(monkeypatch, shaken):
+    """Kernel 3 was the likeliest, and 5 fits the photo once it is corrected; 0 and 1 were drawn, 4 is like 3."""
+    wrong = [Trajectory.straight(12.0, angle_rad=angle).psf(63) for angle in (1.0, 1.5, 2.0, 2.4)]
+    kernels = tuple(wrong[i].copy() for i in (0, 0, 1, 2, 2, 3))
+    found = FoundKernels(kernels, np.array([0.9, 0.8, 0.1, 0.7, 0.6, 0.3]), 3, {"steps": 1}, origins=tuple("abcdef"))
     told = []
 
     def noted(_network, crops, kernel, others, *, sigma):
-        told.append((crops, kernel, others, sigma))
-        return np.pad(np.rot90(kernel, 2), ((1, 0), (1, 0)))
+        numbers = [next(i for i, one in enumerate(kernels) if one is other) for other in (kernel, *others)]
+        told.append(tuple(numbers))
+        assert np.array_equal(crops, shaken[None])
+        assert sigma == pytest.approx(noise_sigma(shaken))
+        return STRAIGHT.psf(63) if numbers[0] == 5 else kernel
 
-    monkeypatch.setattr(module, "corrected_kernel", noted)
-    kernels = tuple(bent().psf(63) if i == 3 else Trajectory.straight(5.0 + i, angle_rad=0.3).psf(63) for i in range(6))
-    found = FoundKernels(kernels, np.array([0.9, 0.8, 0.1, 0.7, 0.2, 0.3]), 3, {"chosen": "classical"})
+    monkeypatch.setattr(correcting, "corrected_kernel", noted)
     estimator = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=2)
-    corrected = estimator.corrected(shaken[None], found)
-    (crops, kernel, others, sigma) = told.pop()
-    assert not told
-    assert np.array_equal(crops, shaken[None])
-    assert kernel is kernels[3]
-    assert [next(i for i, one in enumerate(kernels) if one is other) for other in others] == [5, 4]  # 0, 1: drawn
-    assert sigma == pytest.approx(noise_sigma(shaken))
-    assert corrected.best == 3
-    assert corrected.details == found.details
-    assert mnc_subpixel(corrected.kernels[3], np.rot90(kernels[3], 2)) > 0.99
-    assert all(corrected.kernels[i] is kernels[i] for i in (0, 1, 2, 4, 5))
+    better = estimator.corrected(shaken[None], found)
+    assert sorted(told) == [(2, 3, 4), (3, 4, 5), (5, 3, 4)]
+    assert better.best == 5
+    assert mnc_subpixel(better.kernels[5], STRAIGHT.psf(63)) > 0.99
+    assert all(better.kernels[i] is kernels[i] for i in (0, 1, 4))
+    assert sorted(better.probabilities) == sorted(found.probabilities)
+    assert better.confidence == 0.7
+    assert better.probabilities[[0, 1, 4]] == pytest.approx([0.9, 0.8, 0.6])
+    assert (better.details, better.origins) == (found.details, found.origins)
     assert estimator_with(monkeypatch, Oracle(STRAIGHT), refine=False).corrected(shaken[None], found) is found
 
 
@@ -380,23 +383,11 @@ def test_a_correction_keeps_the_sum_and_takes_kernels_of_any_frame(shaken):
     kernels = [STRAIGHT.psf(size) for size in (29, 63, 64)]
     found = corrected_kernel(load_correction(), shaken[None], kernels[0], kernels[1:], sigma=0.005)
     alone = corrected_kernel(load_correction(), shaken[None], kernels[0], kernels[1:2], sigma=0.005)
-    assert found.shape == (64, 64)
+    assert found.shape == (63, 63)
     assert found.min() >= 0
     assert found.sum() == pytest.approx(1)
     assert mnc_subpixel(found, STRAIGHT.psf(64)) > 0.95
     np.testing.assert_allclose(alone, found, atol=1e-4)  # the other one stands for both
-
-
-def test_only_distinct_candidates_are_refined():
-    straight, longer, upright = (
-        Trajectory.straight(length, angle_rad=angle).psf(63) for length, angle in ((12, 0), (13, 0), (12, 1.5))
-    )
-    alike = mnc_matrix([straight, longer, upright, straight, np.eye(63) / 63])
-    order = np.array([3, 1, 2, 0, 4])
-    assert module._distinct(alike, [3], order, most=3) == [3, 2, 4]
-    assert module._distinct(alike, [3], order, most=2) == [3, 2]
-    assert module._distinct(alike, [4, 0], order, most=4) == [4, 0, 2]
-    assert module._distinct(alike, [0, 1], order, most=4) == [0, 1, 2, 4]  # the first ones even if they are alike
 
 
 # ---- the network and the classical searches
@@ -671,6 +662,20 @@ def test_several_draws_are_kept_and_the_first_is_the_estimate(physics_only, no_s
         NetworkAlone(physics_only, count=0)
 
 
+def test_draws_of_both_networks_are_those_of_the_first_corrected(physics_only, no_search, no_tracing, shaken):
+    (alone,) = named_estimators([f"network:ddim:2:3@{physics_only}"]).values()
+    (both,) = named_estimators([f"networks:ddim:2:3@{physics_only}"]).values()
+    drawn, better = alone.estimate(shaken), both.estimate(shaken)
+    assert (drawn.method, better.method) == ("network", "networks")
+    told = drawing.quick_search(shaken[None], sigma=noise_sigma(shaken))[:2]
+    for psf, corrected in zip(drawn.draws, better.draws, strict=True):
+        expected = corrected_kernel(load_correction(), shaken[None], psf, list(told), sigma=noise_sigma(shaken))
+        assert corrected.shape == (64, 64)
+        np.testing.assert_allclose(corrected[1:, 1:], expected, atol=1e-6)
+        assert np.abs(corrected - psf).max() > 0.05 * psf.max()
+    np.testing.assert_array_equal(better.psf, better.draws[0])
+
+
 def test_samplers_are_named_with_their_steps(oracle_weights, shaken):
     made = named_estimators(["network", "network:ddpm:4", "network:dpm++2m:2"])
     calls = {}
@@ -685,11 +690,12 @@ def test_samplers_are_named_with_their_steps(oracle_weights, shaken):
 
 @pytest.mark.parametrize(
     "name",
-    ["network:ddpm", "network:ddpm:x", "network:ddpm:4:0", "network:ddpm:4:5:6", "motdiff:3", "pmp:1"],
+    ["network:ddpm", "network:ddpm:x", "network:ddpm:4:0", "network:ddpm:4:5:6", "networks:4", "motdiff:3", "pmp:1"],
 )
 def test_other_names_are_refused(oracle_weights, name):
     with pytest.raises(
-        ValueError, match=r"^method: must be network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS, got "
+        ValueError,
+        match=r"^method: must be network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS, or networks with",
     ):
         named_estimators([name])
 
