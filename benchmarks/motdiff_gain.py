@@ -1,4 +1,4 @@
-"""What the two networks add to ``pmp`` in ``cep calibrate``: paired MNC and processor time, by motion and noise.
+"""What the two networks add to ``pmp`` in ``cep calibrate``: paired MNC, by motion, noise and detail.
 
     python benchmarks/motdiff_gain.py rows FILE --prepared CONFIG [--draws 8]       # held-out photos of a run
     python benchmarks/motdiff_gain.py rows FILE --data DIR --protocol NAME [--gyro RECORDING]
@@ -279,34 +279,37 @@ def groups(rows: list[dict]) -> Iterator[tuple[str, list[dict]]]:
         yield f"{name} {high:g} or more", [row for row in rows if value(row) >= high]
 
 
-def difference(rows: list[dict], first: str, second: str, figure: str = "mnc") -> str:
+def difference(rows: list[dict], first: str, second: str) -> str:
     """Mean paired difference with its 95 % interval, photos of one scene drawn together."""
-    less = [row[first][figure] - row[second][figure] for row in rows]
+    less = [row[first]["mnc"] - row[second]["mnc"] for row in rows]
     found = mean_interval(less, rng=np.random.default_rng(0), clusters=[row["scene"] for row in rows])
     if found.clusters < _LEAST_SCENES or not np.isfinite(found.low):
         return f"{found.mean:.3f}"
     return f"{found.mean:.3f} [{found.low:.3f}, {found.high:.3f}]"
 
 
-def line(name: str, rows: list[dict], figure: str = "mnc") -> str:
+def line(name: str, rows: list[dict]) -> str:
     """Line of the table: means, paired differences, and the photos whose kernel became clearly better or worse."""
-    means = " | ".join(f"{np.mean([row[method][figure] for row in rows]):.3f}" for method in METHODS)
-    less = " | ".join(difference(rows, "motdiff", other, figure) for other in METHODS[:-1])
+    means = " | ".join(format(np.mean([row[method]["mnc"] for row in rows]), ".3f") for method in METHODS)
+    less = " | ".join(difference(rows, "motdiff", other) for other in METHODS[:-1])
     change = np.array([row["motdiff"]["mnc"] - row["pmp"]["mnc"] for row in rows])
-    changed = f"{np.sum(change > _CHANGED)}, {np.sum(change < -_CHANGED)}" if figure == "mnc" else ""
+    changed = f"{np.sum(change > _CHANGED)}, {np.sum(change < -_CHANGED)}"
     return f"| {name} | {len(rows)} | {means} | {less} | {changed} |"
 
 
 def table(rows: list[dict]) -> Iterator[str]:
-    """Lines of the tables: sub-pixel MNC by group, processor time, and draws of the network."""
+    """Lines of the tables: sub-pixel MNC by group, and draws of the networks."""
     whole = [row for row in rows if all(name in row for name in METHODS)]
+    if len(whole) < len(rows):
+        yield f"left out: {len(rows) - len(whole)} photos that lack a method\n"
+    if not whole:
+        return
     others = " | ".join(f"less {name}" for name in METHODS[:-1])
     yield f"| photos | n | {' | '.join(METHODS)} | {others} | won, lost |"
     yield f"|---|{'---:|' * (len(METHODS) + 1)}{'---|' * (len(METHODS) - 1)}---:|"
     for name, some in groups(whole):
         if some:
             yield line(name, some)
-    yield line("CPU-s", whole, "cpu_s")
     known = [row for row in rows if _LAST_DRAWS in row]
     for name in [f"ddim:{steps}{ending}" for steps in _STEPS for ending in ("", ", corrected")] if known else ():
         of = [row[name] for row in known]
@@ -314,7 +317,7 @@ def table(rows: list[dict]) -> Iterator[str]:
             np.mean([np.mean(figures[key]) for figures in of]) for key in ("mnc", "best", "alike", "covered")
         )
         yield (
-            f"\nThe network alone, {name}, {len(of)} photos: one draw {one:.3f}, "
+            f"\nDraws, {name}, {len(of)} photos: one draw {one:.3f}, "
             f"best of {len(of[0]['mnc'])} {best:.3f}, two draws alike {alike:.3f}, truth among them {covered:.3f}"
         )
 

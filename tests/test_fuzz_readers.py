@@ -7,7 +7,7 @@ from fuzz_readers import ACCEPTED, GOOD, READERS, REFUSED, mutated, outcome
 from named_pipes import empty_pipe
 
 COUNT = 40
-SLOW = {"mat": 4, "mat photo": 2, "levin": 2, "denoiser": 8, "network": 8, "learned code": 8}
+SLOW = {"mat": 4, "mat photo": 2, "levin": 2, "denoiser": 8, "network": 8, "correction": 8, "learned code": 8}
 """Cases of readers that take long: a process of its own for each file, or megabytes."""
 
 

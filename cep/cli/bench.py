@@ -25,8 +25,8 @@ Methods = Annotated[
         "--methods",
         metavar="NAME,...",
         help="Estimators, as pmp,motdiff; all that take seconds when omitted. Others: selfdeblur (hours), "
-        "blinddps:FOLDER of weights, network:ddpm:1000, network:ddim:10:8 (eight draws), "
-        "motdiff@FILE and network:ddim:10@FILE of other weights, "
+        "blinddps:FOLDER of weights, network:ddpm:1000, network:ddim:10:8 (eight draws), networks:ddim:10:8 "
+        "(corrected ones), motdiff@FILE and network:ddim:10@FILE of other weights, "
         "module:name of an estimator of your own.",
     ),
 ]

@@ -87,7 +87,7 @@ class FoundKernels:
     warnings : tuple of str
         Warnings for the user, one sentence each.
     origins : tuple of K str
-        Where each kernel comes from, for the report; empty where all are of one kind.
+        Where each kernel comes from; the report gives that of the best (``chosen``), or nothing where this is empty.
     """
 
     kernels: tuple[NDArray[np.float64], ...]

@@ -152,11 +152,13 @@ def _chosen(
         return replace(joint, details={**joint.details, "fused_by": "joint search"})
     kernels, probabilities = list(joint.kernels), joint.probabilities.copy()
     kernels[joint.best] = candidates[best]
+    origins = list(joint.origins)
+    if origins:
+        origins[joint.best] = "kernel of one photo"
     probabilities[joint.best] = max(joint.confidence, own[(best - 1) % len(own)].confidence)
     chosen = "kernel of one photo" + (", refined on all" if best > len(own) else "")
-    return replace(
-        joint, kernels=tuple(kernels), probabilities=probabilities, details={**joint.details, "fused_by": chosen}
-    )
+    details = {**joint.details, "fused_by": chosen}
+    return replace(joint, kernels=tuple(kernels), probabilities=probabilities, details=details, origins=tuple(origins))
 
 
 def _gain(judge: Judge, own: FloatArray, shared: FloatArray) -> float:

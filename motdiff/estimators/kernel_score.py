@@ -282,9 +282,13 @@ def distinct(alike: FloatArray, first: Iterable[int], order: Iterable[int], *, m
     ----------
     alike : (K, K) float
         MNC of every pair.
-    first, order : int
+    first, order : iterables of int
     most : int
         How many to choose; those of ``first`` at least.
+
+    Returns
+    -------
+    list of int
     """
     chosen = list(first)
     for i in order:

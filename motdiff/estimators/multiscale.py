@@ -93,7 +93,7 @@ class BlindEstimator(ABC):
         return kernel
 
     def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:  # noqa: ARG002
-        """Improve the kernels found in the crops (C, H, W), after all tests of the best; unchanged by default."""
+        """Improve the kernels found in the crops (C, H, W) at last, each in its place; unchanged by default."""
         return found
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
@@ -119,8 +119,8 @@ class BlindEstimator(ABC):
         -------
         MotionEstimate with ``direction`` unknown; distinct kernels follow as alternatives. Of several photos
         ``details`` hold ``photos``, their number; for each ``repeatability``, the MNC of its own kernel with the shared
-        one, and ``repeatability_px``, the distance of its own path, None where its kernel is another; ``seen_in``, how
-        many kernels agree; and ``left_out``, the numbers, from 1, of photos that show another motion.
+        one, both uncorrected, and ``repeatability_px``, the distance of their paths, None where its kernel is another;
+        ``seen_in``, how many kernels agree; and ``left_out``, the numbers, from 1, of photos that show another motion.
 
         Raises
         ------
@@ -143,13 +143,14 @@ class BlindEstimator(ABC):
                 if not _wants_halving(level, self.largest_px, min(min(grey.shape) for grey in greys)):
                     break
             best = levels[-1]
+            corrected = self.corrected(best.crops, best.found)
+            tested = replace(best, found=replace(best.found, best=corrected.best))  # a correction spreads light
             uneven = None
             if len(best.crops) > (1 if best.fusion is None else len(best.fusion.kept)):
                 alone = self.single(best.crops, best.found)
-                uneven = uneven_blur_warning(best.crops, alone, best.found.kernels[best.found.best])
-            outgrown = _outgrown(best, self.largest_px)
-            best = replace(best, found=self.corrected(best.crops, best.found))
-            estimate = _described(best, self.method, uneven)
+                uneven = uneven_blur_warning(best.crops, alone, tested.found.kernels[corrected.best])
+            outgrown = _outgrown(tested, self.largest_px)
+            estimate = _described(replace(best, found=corrected), self.method, uneven)
             estimate = doubted(estimate, levels[0].photographed, uneven=uneven is not None, outgrown=outgrown)
             whole.finish()
             return estimate
@@ -315,17 +316,19 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
             "trajectory_psf_mnc": mnc_subpixel(psf, drawn),
             "psf_confidence": found.confidence,
             "path_confidence": confidence * _path_share(trajectories[0], tangled=tangled),
-            **_repeatability(level, trajectories[0]),
+            **_repeatability(level),
         },
         psf_warnings=tuple(of_the_psf),
     )
 
 
-def _repeatability(level: _Level, path: Trajectory) -> dict[str, object]:
-    """Figures of how far each of several photos shows the motion that they share."""
+def _repeatability(level: _Level) -> dict[str, object]:
+    """Figures of how far each of several photos shows the motion that they share, all before their correction."""
     fusion = level.fusion
     if fusion is None:
         return {}
+    shared = fusion.found.kernels[fusion.found.best]
+    path = simplest_trajectory(without_faint_parts(shared)).scaled(level.factor)
     apart: list[float | None] = []
     for i, (found, alike) in enumerate(zip(level.own, fusion.repeatability, strict=True)):
         agrees = alike >= GOOD_MNC and i in fusion.kept

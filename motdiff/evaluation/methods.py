@@ -24,13 +24,14 @@ METHODS = ("pmp", "motdiff", "network", "networks", "parametric", "psf-diffusion
 none are named), ``network:SAMPLER:STEPS:DRAWS``, which measures that many draws of each photo as well, ``networks``
 with the same additions, whose draws are corrected by the second network,
 ``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps tells only what it needs.
-``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE`` take other weights than the package's."""
+``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE``, or ``networks``, take other weights of MoTDiff than the
+package's."""
 
 _WITH_WEIGHTS = ("motdiff", "network", "networks")
 
 
 class NetworkAlone:
-    """The network's output unchanged: no scoring, no refinement, no fall-back.
+    """The network's output: no scoring, no refinement, no fall-back; unchanged, or corrected by the second network.
 
     The paper measures draws of many steps; one step, as MoTDiff takes here, gives the mean guess and a higher MNC.
 
@@ -107,7 +108,7 @@ class NetworkAlone:
 
 
 def split_weights(method: str) -> tuple[str, Path | None]:
-    """Split ``motdiff@FILE`` or ``network@FILE`` into the method and its file of weights, None where none is named."""
+    """Split ``motdiff@FILE`` or ``network@FILE`` into the method and its file of weights, None where there is none."""
     name, at, file = method.partition("@")
     return (name, Path(file)) if at and name.split(":")[0] in _WITH_WEIGHTS else (method, None)
 

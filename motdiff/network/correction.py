@@ -80,7 +80,7 @@ def correction_maps(crops: Tensor, kernels: Tensor, others: Tensor, *, sigma: fl
         They share one blur; sides of at least 64 px.
     kernels : (K, 64, 64) float32, sum 1
     others : (K, 2, 64, 64) float32, sum 1
-        For each kernel, two others that were found; the same one twice where there are only two.
+        For each kernel, two others that were found, which may be like it; the same one twice where there are only two.
     sigma : float
         Standard deviation of the noise.
 
@@ -117,16 +117,14 @@ def _photo_maps(crops: Tensor, blurred: tuple[Tensor, Tensor], kernel: Tensor, *
     frame = (fast_size(height - 1 + PSF_PX), fast_size(width - 1 + PSF_PX))
     seen = [torch.fft.rfft2(gradient, s=frame) for gradient in blurred]
     no_threshold = crops.new_zeros(count)
-    gradients = salient_gradients(latent, no_threshold)
-    spectra = [torch.fft.rfft2(gradient, s=frame) for gradient in gradients]
+    spectra = [torch.fft.rfft2(gradient, s=frame) for gradient in salient_gradients(latent, no_threshold)]
     of_wiener = [torch.fft.rfft2(gradient, s=frame) for gradient in salient_gradients(wiener, no_threshold)]
     transfer = psf_to_otf(kernel[None], frame)
     missing = []
     for spectrum, other in zip(spectra, seen, strict=True):
         left = torch.fft.irfft2(other - spectrum * transfer, s=frame)[:, : height - 1, : width - 1]
         missing.append(torch.fft.rfft2(left, s=frame))
-    energy = sum(gradient.square().sum() for gradient in gradients)
-    correlation = _lags(_cross(spectra, missing)[None], frame) / energy
+    correlation = _lags(_cross(spectra, missing)[None], frame)
     return torch.cat(
         [
             _least_squares(spectra, seen, _RIDGES, frame),
@@ -152,7 +150,8 @@ def _least_squares(
     """Unconstrained kernels (R, 64, 64) that turn latent gradients into blurred ones, from their spectra."""
     cross = _cross(latent, blurred)
     power = sum((spectrum.abs().square().sum(dim=0) for spectrum in latent), torch.zeros_like(cross.real))
-    return _lags(torch.stack([cross / (power + ridge * power.mean()) for ridge in ridges]), frame)
+    level = power.mean().clamp(min=1e-12)  # 0 where the latent photo is flat
+    return _lags(torch.stack([cross / (power + ridge * level) for ridge in ridges]), frame)
 
 
 def _cross(first: list[Tensor], second: list[Tensor]) -> Tensor:

@@ -141,7 +141,10 @@ def read_kernels(*folders: Path | str) -> Kernels:
                 truth.append(torch.from_numpy(stored["truth"]))
         except (zipfile.BadZipFile, EOFError, KeyError) as error:
             raise ValueError(f"{file}: is damaged ({error}); delete it and prepare it again") from error
-    return Kernels(torch.cat(maps), torch.cat(truth))
+    kernels = Kernels(torch.cat(maps), torch.cat(truth))
+    if not len(kernels):
+        raise ValueError(f"{', '.join(map(str, folders))}: every kernel was lost; prepare more shards")
+    return kernels
 
 
 def _shards(folder: Path | str) -> list[Path]:

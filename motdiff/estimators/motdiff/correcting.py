@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import Judge, distinct, kernel_score
-from motdiff.metrics import mnc_matrix
+from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix
 from motdiff.network.correction import CorrectionNetwork, corrected, correction_maps
 from motdiff.psf_frame import PSF_PX, in_frame
 from motdiff.threads import side_by_side
@@ -29,7 +29,8 @@ def corrected_choice(
 ) -> FoundKernels:
     """Correct the best kernel and the likeliest different ones, and choose among these by the photo alone.
 
-    The chosen one gets the highest probability that these had before, and so on.
+    Their probabilities, none above that of the best before, are handed out in the order of their scores. Kernels that
+    are the same as one of these before the correction are superseded: their probability is 0.
 
     Parameters
     ----------
@@ -41,11 +42,16 @@ def corrected_choice(
     most : int
         How many to correct.
     skip : int
-        So many of the first kernels take no part.
+        So many of the first kernels take no part. At least two others do, the best one among them.
+
+    Returns
+    -------
+    FoundKernels with the same kernels in the same places, some of them corrected, in frames of 63 px.
     """
     judge, kernels, probabilities = Judge(crops), list(found.kernels), found.probabilities.copy()
     likely = [int(i) for i in np.argsort(-probabilities) if i >= skip]
-    chosen = distinct(mnc_matrix(kernels), [found.best], likely, most=most)
+    alike = mnc_matrix(kernels)
+    chosen = distinct(alike, [found.best], likely, most=most)
 
     def better(i: int) -> FloatArray:
         others = [found.kernels[j] for j in likely if j != i][:2]
@@ -53,7 +59,9 @@ def corrected_choice(
 
     made = side_by_side([partial(better, i) for i in chosen])
     ranked = [chosen[n] for n in np.argsort(-kernel_score(judge.evidence(made)))]
-    probabilities[ranked] = -np.sort(-probabilities[chosen])
+    handed_out = -np.sort(-np.minimum(probabilities[chosen], found.confidence))
+    probabilities[(alike[:, chosen] >= SAME_KERNEL_MNC).any(axis=1)] = 0.0
+    probabilities[ranked] = handed_out
     for i, kernel in zip(chosen, made, strict=True):
         kernels[i] = kernel
     return replace(found, kernels=tuple(kernels), probabilities=probabilities, best=ranked[0])

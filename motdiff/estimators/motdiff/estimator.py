@@ -43,8 +43,9 @@ class MotDiffEstimator(BlindEstimator):
 
     Classical searches give kernels. The network, conditioned on up to three of them, samples several motions. All are
     scored on the photo (:mod:`motdiff.estimators.kernel_score`), and the most likely ones are refined at full
-    resolution. A second network corrects these (:mod:`motdiff.network.correction`), and the same score chooses. The
-    result may come from a classical kernel or from the draws.
+    resolution. A second network corrects the best and up to two of the likeliest different ones
+    (:mod:`motdiff.network.correction`), and the same score of the photo alone chooses. The result may come from a
+    classical kernel or from the draws.
 
     Parameters
     ----------
@@ -96,7 +97,8 @@ class MotDiffEstimator(BlindEstimator):
 
     def search(self, crops: FloatArray) -> FoundKernels:
         """Sample, score and refine kernels of the crops (C, H, W)."""
-        after = _JUDGE_COST + _REFINE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0) + _CORRECT_COST + _TRACE_COST
+        after = _JUDGE_COST + _REFINE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0) + _TRACE_COST
+        after += _CORRECT_COST if self._refine else 0.0
         self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
         judge = Judge(crops)
         classical, conditions = self._classical(crops)

@@ -413,6 +413,14 @@ def test_a_version_changes_with_what_takes_and_measures_the_photo(monkeypatch, m
     assert version_of(method) != first
 
 
+def test_the_weights_of_the_correction_count_for_what_reads_them(monkeypatch, tmp_path):
+    (tmp_path / "other.safetensors").write_bytes(b"1")
+    names = ("motdiff", "networks", "network", "pmp")
+    first = {name: version_of(name) for name in names}
+    monkeypatch.setattr("cep.bench.blind.methods.CORRECTION_WEIGHTS", tmp_path / "other.safetensors")
+    assert [name for name in names if version_of(name) != first[name]] == ["motdiff", "networks"]
+
+
 def test_a_folder_of_weights_counts_by_its_content_and_is_named_without_its_place(tmp_path):
     (tmp_path / "priors").mkdir()
     (tmp_path / "priors" / "image.pt2").write_bytes(b"1")

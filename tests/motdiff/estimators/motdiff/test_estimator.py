@@ -372,11 +372,20 @@ def test_the_likeliest_different_kernels_are_corrected_and_the_photo_chooses(mon
     assert better.best == 5
     assert mnc_subpixel(better.kernels[5], STRAIGHT.psf(63)) > 0.99
     assert all(better.kernels[i] is kernels[i] for i in (0, 1, 4))
-    assert sorted(better.probabilities) == sorted(found.probabilities)
     assert better.confidence == 0.7
-    assert better.probabilities[[0, 1, 4]] == pytest.approx([0.9, 0.8, 0.6])
+    assert sorted(better.probabilities[[2, 3, 5]]) == pytest.approx([0.1, 0.3, 0.7])
+    assert better.probabilities[[0, 1, 4]] == pytest.approx([0.9, 0.8, 0.0])  # 4 is superseded by 3
     assert (better.details, better.origins) == (found.details, found.origins)
     assert estimator_with(monkeypatch, Oracle(STRAIGHT), refine=False).corrected(shaken[None], found) is found
+
+
+def test_a_correction_makes_no_kernel_likelier_than_the_best_was(monkeypatch, shaken):
+    kernels = tuple(Trajectory.straight(12.0, angle_rad=angle).psf(63) for angle in (1.0, 1.5, 2.0, 2.4))
+    found = FoundKernels(kernels, np.array([0.0, 0.9, 0.4, 0.2]), 2)
+    monkeypatch.setattr(correcting, "corrected_kernel", lambda _network, _crops, kernel, _others, **_: kernel)
+    better = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=1).corrected(shaken[None], found)
+    assert better.confidence == 0.4
+    assert sorted(better.probabilities[1:]) == pytest.approx([0.2, 0.4, 0.4])
 
 
 def test_a_correction_keeps_the_sum_and_takes_kernels_of_any_frame(shaken):

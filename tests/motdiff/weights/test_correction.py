@@ -1,0 +1,60 @@
+"""Weights of the correction: only files of ours are taken, and the shipped ones mend a kernel."""
+
+import numpy as np
+import pytest
+import torch
+
+from motdiff.estimators.motdiff.correcting import corrected_kernel
+from motdiff.metrics import mnc_subpixel
+from motdiff.network.correction import CorrectionNetwork
+from motdiff.simulate import blur_valid
+from motdiff.trajectory import Trajectory
+from motdiff.weights import DEFAULT_WEIGHTS
+from motdiff.weights.correction import CORRECTION_WEIGHTS, load_correction, read_card, write_correction
+
+WHOLE = [[0, 0], [9, 2], [14, 12]]
+
+
+def test_weights_are_read_as_they_were_written(tmp_path):
+    torch.manual_seed(0)
+    network = CorrectionNetwork()
+    torch.nn.init.normal_(network.out.weight)
+    size = write_correction(network.state_dict(), tmp_path / "c.safetensors", about={"steps": 3})
+    assert (tmp_path / "c.safetensors").stat().st_size == size
+    assert read_card(tmp_path / "c.safetensors") == {"steps": 3}
+    found = load_correction(tmp_path / "c.safetensors")
+    assert not found.training
+    for name, value in network.state_dict().items():
+        torch.testing.assert_close(found.state_dict()[name], value, atol=1e-3, rtol=1e-3)
+
+
+def test_other_files_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"is no motdiff\.correction/1 file"):
+        load_correction(DEFAULT_WEIGHTS)
+    write_correction({"unet.stem.weight": torch.ones(2)}, tmp_path / "c.safetensors", about={})
+    with pytest.raises(ValueError, match="its tensors do not fit the network"):
+        load_correction(tmp_path / "c.safetensors")
+    with pytest.raises(ValueError, match="holds values that float16 cannot"):
+        write_correction({"out.bias": torch.tensor([1e6])}, tmp_path / "d.safetensors", about={})
+    assert not (tmp_path / "d.safetensors").exists()
+
+
+def test_the_shipped_ones_are_small_and_in_their_card():
+    assert CORRECTION_WEIGHTS.stat().st_size <= 2 * 2**20
+    card = read_card()
+    readme = CORRECTION_WEIGHTS.with_name("README.md").read_text(encoding="utf-8")
+    assert card["kernels"] == 1458 + 1310 + 1057
+    assert card["steps"] == 1400 + 2400
+    assert "1,458" in readme
+    assert "2,400" in readme
+
+
+def test_the_shipped_ones_find_the_end_that_a_kernel_lacks():
+    from skimage import data
+
+    truth = Trajectory.from_samples(WHOLE).psf(63)
+    without_end = Trajectory.from_samples(WHOLE[:2]).psf(63)
+    photo = blur_valid(data.camera()[60:380, 100:420] / 255.0, truth)
+    photo = photo + np.random.default_rng(0).normal(0, 0.005, photo.shape)
+    found = corrected_kernel(load_correction(), photo[None], without_end, [without_end], sigma=0.005)
+    assert mnc_subpixel(found, truth) > mnc_subpixel(without_end, truth) + 0.05
