@@ -10,7 +10,7 @@ from pathlib import Path
 
 from research.command_line import run_command
 
-_EXAMPLES = """a training like that of the shipped weights; CONFIG is cpu_encoder.toml of motdiff/configs, its paths set:
+_EXAMPLES = """a training like that of the shipped weights; CONFIG is motdiff/configs/cpu_encoder.toml, its paths set:
   python -m research.correction prepare CONFIG -o kernels --shards 0:60
   python -m research.correction prepare CONFIG -o held_out --shards 0:8 --held-out
   OMP_NUM_THREADS=1 python -m research.correction train kernels -o first.safetensors --steps 1000

@@ -1,5 +1,7 @@
 """Blind estimation in photos of any size, with a search whose answers are known: crops, halving, what is told."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -144,6 +146,30 @@ def test_several_photos_are_searched_alone_and_together():
     assert (figures["photos"], figures["seen_in"], figures["left_out"]) == (3, 3, [])
     assert figures["repeatability"] == pytest.approx([1, 1, 1])
     assert figures["repeatability_px"] == pytest.approx([0, 0, 0], abs=1e-6)
+
+
+class Correcting(FakeSearch):
+    """Turns every kernel found, once."""
+
+    def corrected(self, crops, found):
+        self.corrected_crops = [*getattr(self, "corrected_crops", []), crops.shape]
+        return replace(found, kernels=tuple(np.rot90(kernel) for kernel in found.kernels))
+
+
+def test_the_result_is_corrected_once_on_the_crops_of_all_photos():
+    photos = [noise(100, 100), noise(100, 90, seed=1), noise(80, 100, seed=2)]
+    plain, corrected = FakeSearch().estimate_from(photos), (search := Correcting()).estimate_from(photos)
+    assert search.corrected_crops == [(3, 80, 90)]
+    assert mnc_subpixel(corrected.psf[1:, 1:], np.rot90(plain.psf[1:, 1:])) > 0.99
+    assert mnc_subpixel(corrected.psf, plain.psf) < 0.9
+    for name in ("repeatability", "repeatability_px", "seen_in"):  # of kernels that no correction has touched
+        assert corrected.details[name] == plain.details[name]
+
+
+def test_a_photo_at_half_size_is_corrected_there():
+    search = Correcting((LONG, UNSURE), (line(), SURE))
+    search.estimate(noise(300, 300))
+    assert search.corrected_crops == [(1, 150, 150)]
 
 
 def test_many_large_photos_have_fewer_crops_each():

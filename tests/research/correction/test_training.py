@@ -46,16 +46,23 @@ def kernels():
 # ---- samples
 
 
+def small_search():
+    return PmpEstimator(starts=(Start(29), Start(35)))
+
+
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory):
+def scenes():
+    blocks = torch.randint(0, 256, (3, 34, 34), generator=torch.Generator().manual_seed(0))
+    return [blocks.repeat_interleave(10, 1).repeat_interleave(10, 2).to(torch.uint8)]
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory, scenes):
     """Two shards of three photos each, searched from small frames."""
     folder = tmp_path_factory.mktemp("kernels")
-    blocks = torch.randint(0, 256, (3, 34, 34), generator=torch.Generator().manual_seed(0))
-    scenes = [blocks.repeat_interleave(10, 1).repeat_interleave(10, 2).to(torch.uint8)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(samples_module, "SHARD_PHOTOS", 3)
-        starts = (Start(29), Start(35))
-        patch.setattr(samples_module, "PmpEstimator", lambda: PmpEstimator(starts=starts))
+        patch.setattr(samples_module, "PmpEstimator", small_search)
         options = {"scenes": scenes, "mix": MIX, "photography": Photography(), "seed": 5}
         prepare(folder / "both", shards=range(2), **options)
         prepare(folder / "second", shards=range(1, 2), **options)
@@ -80,15 +87,14 @@ def test_a_shard_depends_on_its_number_and_the_seed_alone(prepared):
     assert one.read_bytes() == other.read_bytes()
 
 
-def test_samples_of_the_second_pass_are_those_of_the_corrected_kernels(prepared):
+def test_samples_of_the_second_pass_are_those_of_the_corrected_kernels(monkeypatch, scenes):
     class Lessened(CorrectionNetwork):
         def forward(self, maps):
             return maps[:, 0] - 0.3
 
+    monkeypatch.setattr(samples_module, "PmpEstimator", small_search)
     index, seen = torch.arange(1), {}
     bank = build_bank(MIX, count=1, seed=3, first=0)
-    blocks = torch.randint(0, 256, (3, 34, 34), generator=torch.Generator().manual_seed(0))
-    scenes = [blocks.repeat_interleave(10, 1).repeat_interleave(10, 2).to(torch.uint8)]
     photos = simulate(bank, scenes, index, photography=Photography(), physics=False, seed=1)
     for network in (None, Lessened().eval()):
         seen[network is None] = searched(photos, network=network)
