@@ -33,7 +33,7 @@ from cep.bench.blind.run import blind_plan
 from cep.bench.statistics import mean_interval
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, FoundKernels
-from motdiff.estimators.kernel_score import distinct, noise_sigma, rank_kernels
+from motdiff.estimators.kernel_score import distinct, noise_sigma, rank_kernels, shared_sigma
 from motdiff.estimators.motdiff import MotDiffEstimator
 from motdiff.estimators.motdiff.correcting import corrected_choice, corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs
@@ -100,7 +100,7 @@ class PmpCorrected(PmpEstimator):
         alike = mnc_matrix(kernels)
         order = np.argsort(-rank_kernels(crops, kernels).probabilities)
         chosen = distinct(alike, order[:1], order[1:], most=_REFINED)
-        sharpened = side_by_side([partial(refined, crops, kernels[i], _sigma(crops)) for i in chosen])
+        sharpened = side_by_side([partial(refined, crops, kernels[i], shared_sigma(crops)) for i in chosen])
         for i, kernel in zip(chosen, sharpened, strict=True):
             kernels[i] = kernel
         probabilities = rank_kernels(crops, kernels).probabilities
@@ -120,10 +120,6 @@ class Uncorrected(MotDiffEstimator):
     def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:  # noqa: ARG002
         """Leave the kernel as it is."""
         return found
-
-
-def _sigma(crops: FloatArray) -> float:
-    return float(np.median([noise_sigma(crop) for crop in crops]))
 
 
 class SharedSearch:
@@ -224,7 +220,7 @@ def drawn(
             steps=steps,
             generator=torch.Generator().manual_seed(number),
         )
-        better = [corrected_kernel(correction, crops, draw, others, sigma=_sigma(crops)) for draw in draws]
+        better = [corrected_kernel(correction, crops, draw, others, sigma=shared_sigma(crops)) for draw in draws]
         for name, kernels in ((f"ddim:{steps}", list(draws)), (f"ddim:{steps}, corrected", better)):
             found = measure_draws(kernels, photo.psf)
             mncs = [mnc_subpixel(kernel, photo.psf) for kernel in kernels]

@@ -132,25 +132,19 @@ def _add_prepare(commands: _Commands[argparse.ArgumentParser]) -> None:
 def _prepare(given: argparse.Namespace) -> None:
     import torch
 
-    from motdiff.network.condition import PHOTO_PX
-    from motdiff.training.config import read_config
-    from motdiff.training.photos import load_photos, split_photos
-    from motdiff.training.prepared import prepare, shard_range
+    from motdiff.training.prepared import prepare, read_source
+    from motdiff.training.shards import shard_range
 
     torch.set_num_threads(1)  # the arrays are small: more threads are slower
     shards = shard_range(given.shards)
-    config = read_config(given.config)
-    if not config.data.photos:
-        raise ValueError(f"{given.config}: data.photos is needed to prepare samples")
-    photos = load_photos(config.data.photos, least_px=PHOTO_PX + config.photography.margin)
-    seen, held_out = split_photos(photos, config.data.held_out)
+    source = read_source(given.config, held_out=given.held_out)
     prepare(
         given.out,
-        scenes=held_out if given.held_out else seen,
-        mix=config.motions,
-        photography=config.photography,
+        scenes=source.scenes,
+        mix=source.mix,
+        photography=source.photography,
         shards=shards,
-        seed=config.optimiser.seed + (1 if given.held_out else 0),
+        seed=source.seed,
         on_shard=lambda shard: print(f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True),  # noqa: T201
     )
 

@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from safetensors import SafetensorError, safe_open
 
 from motdiff.io.inputs import one_line, regular_file
+from motdiff.io.outputs import write_bytes
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-__all__ = ["fill", "halved", "read_card", "read_header", "read_tensors"]
+    _Network = TypeVar("_Network", bound=nn.Module)
+
+__all__ = ["filled", "halved", "read_card", "read_header", "read_tensors", "write_with_card"]
 
 
 def read_header(path: Path | str) -> dict[str, str]:
@@ -71,6 +74,33 @@ def halved(state: Mapping[str, Tensor], *, source: Path | str) -> dict[str, Tens
     return tensors
 
 
+def write_with_card(
+    state: Mapping[str, Tensor], target: Path | str, *, schema: str, card: Mapping[str, Any], source: Path | str
+) -> int:
+    """Write a network's state as float16, with a JSON card under the name of its schema; returns the bytes.
+
+    Parameters
+    ----------
+    state : mapping of tensors
+    target : .safetensors file to write
+    schema : str
+    card : mapping
+    source : path
+        Name in error messages.
+
+    Raises
+    ------
+    ValueError
+        If float16 cannot hold a value.
+    """
+    from safetensors.torch import save
+
+    # safetensors shuffles a header's entries: one alone gives the same bytes for the same run
+    data = save(halved(state, source=source), {schema: json.dumps(card)})
+    write_bytes(Path(target), data)
+    return len(data)
+
+
 def read_tensors(path: Path | str, *, device: str = "cpu") -> dict[str, Tensor]:
     """Read the tensors of a weights file, those of floating point as float32."""
     with safe_open(str(path), framework="pt", device=device) as file:
@@ -78,19 +108,20 @@ def read_tensors(path: Path | str, *, device: str = "cpu") -> dict[str, Tensor]:
     return {name: t.float() if t.is_floating_point() else t for name, t in tensors.items()}
 
 
-def fill(network: nn.Module, path: Path | str) -> None:
-    """Put a weights file's tensors into a network on the CPU: eval mode, without gradients, channels last.
+def filled(network: _Network, path: Path | str, *, schema: str) -> _Network:
+    """Put the tensors of a weights file of a schema into a network on the CPU: eval mode, no gradients, channels last.
 
     Raises
     ------
     ValueError
-        If they do not fit.
+        If the file is of another schema, or its tensors do not fit.
     """
     import torch
 
+    read_card(path, schema)
     try:
         network.load_state_dict(read_tensors(path))
     except RuntimeError as error:
         raise ValueError(f"{path}: its tensors do not fit the network") from error
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    network.eval().requires_grad_(False)
+    return network.eval().requires_grad_(False)

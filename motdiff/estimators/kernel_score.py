@@ -30,6 +30,7 @@ __all__ = [
     "kernel_score",
     "noise_sigma",
     "rank_kernels",
+    "shared_sigma",
     "uneven_blur_warning",
 ]
 
@@ -76,6 +77,11 @@ def noise_sigma(photo: FloatArray) -> float:
     second = photo[:, :-2] - 2 * photo[:, 1:-1] + photo[:, 2:]
     mixed = second[:-2] - 2 * second[1:-1] + second[2:]
     return float(np.median(np.abs(mixed)) / 0.6745 / 6)
+
+
+def shared_sigma(crops: FloatArray) -> float:
+    """Estimate the standard deviation of the noise that crops (C, H, W) share: the median of :func:`noise_sigma`."""
+    return float(np.median([noise_sigma(crop) for crop in crops]))
 
 
 class Spectrum:
@@ -198,7 +204,7 @@ class Judge:
     """
 
     def __init__(self, photos: FloatArray) -> None:
-        self.sigma = float(np.median([noise_sigma(photo) for photo in photos]))
+        self.sigma = shared_sigma(photos)
         self._spectra = [Spectrum(photo, sigma=self.sigma) for photo in photos]
         self._phases = [Phase(photo, sigma=self.sigma) for photo in photos]
 

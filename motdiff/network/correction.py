@@ -14,8 +14,9 @@ from motdiff.estimators.pmp.blind import fine_latent
 from motdiff.estimators.pmp.grids import fast_size, gradient_power, periodic_extension, psf_to_otf
 from motdiff.estimators.pmp.kernel import without_faint_light
 from motdiff.estimators.pmp.latent import salient_gradients
-from motdiff.network.physics_maps import autocorrelation, spectral_maps
-from motdiff.network.symmetry import inverse_symmetry, mirrored
+from motdiff.network.physics_maps import autocorrelation, lags, spectral_maps
+from motdiff.network.sampling import DOUBT
+from motdiff.network.symmetry import SYMMETRIES, inverse_symmetry, mirrored
 from motdiff.network.unet import GridUNet, silence
 from motdiff.psf_frame import PSF_PX
 
@@ -28,8 +29,6 @@ _RIDGES = (0.03, 0.3, 3.0)  # of the least-squares kernels, in mean powers of th
 _WIENER_RIDGE = 0.3
 _WIENER_PENALTY, _WIENER_PER_VARIANCE = 3e-4, 100.0
 _LATENT_RANGE = (-0.5, 1.5)  # a restoration by a wrong kernel rings far beyond full scale
-_DOUBT = 0.02
-_SYMMETRIES = 8
 
 
 class CorrectionNetwork(nn.Module):
@@ -63,12 +62,12 @@ def corrected(network: CorrectionNetwork, maps: Tensor) -> Tensor:
 
     Returns
     -------
-    (B, 64, 64) float: non-negative, sum 1, 0 below 2 % of the peak: off the path a network's output is never quite 0.
+    (B, 64, 64) float: non-negative, sum 1, 0 below 2 % of the peak.
     """
-    turned = torch.cat([mirrored(maps, symmetry, pitch=1) for symmetry in range(_SYMMETRIES)])
-    found = network(turned)[:, None].chunk(_SYMMETRIES)
+    turned = torch.cat([mirrored(maps, symmetry, pitch=1) for symmetry in range(SYMMETRIES)])
+    found = network(turned)[:, None].chunk(SYMMETRIES)
     turned_back = [mirrored(part, inverse_symmetry(symmetry), pitch=1) for symmetry, part in enumerate(found)]
-    return without_faint_light(torch.cat(turned_back, dim=1).mean(dim=1).clamp(min=0), below=_DOUBT)
+    return without_faint_light(torch.cat(turned_back, dim=1).mean(dim=1).clamp(min=0), below=DOUBT)
 
 
 def correction_maps(crops: Tensor, kernels: Tensor, others: Tensor, *, sigma: float) -> Tensor:
@@ -124,7 +123,7 @@ def _photo_maps(crops: Tensor, blurred: tuple[Tensor, Tensor], kernel: Tensor, *
     for spectrum, other in zip(spectra, seen, strict=True):
         left = torch.fft.irfft2(other - spectrum * transfer, s=frame)[:, : height - 1, : width - 1]
         missing.append(torch.fft.rfft2(left, s=frame))
-    correlation = _lags(_cross(spectra, missing)[None], frame)
+    correlation = lags(torch.fft.irfft2(_cross(spectra, missing)[None], s=frame))
     return torch.cat(
         [
             _least_squares(spectra, seen, _RIDGES, frame),
@@ -151,16 +150,9 @@ def _least_squares(
     cross = _cross(latent, blurred)
     power = sum((spectrum.abs().square().sum(dim=0) for spectrum in latent), torch.zeros_like(cross.real))
     level = power.mean().clamp(min=1e-12)  # 0 where the latent photo is flat
-    return _lags(torch.stack([cross / (power + ridge * level) for ridge in ridges]), frame)
+    return lags(torch.fft.irfft2(torch.stack([cross / (power + ridge * level) for ridge in ridges]), s=frame))
 
 
 def _cross(first: list[Tensor], second: list[Tensor]) -> Tensor:
     """Cross spectrum of all crops and both directions, (H, W // 2 + 1)."""
     return torch.stack([(a.conj() * b).sum(dim=0) for a, b in zip(first, second, strict=True)]).sum(dim=0)
-
-
-def _lags(spectra: Tensor, frame: tuple[int, int]) -> Tensor:
-    """Lags -32..31 px of the correlations (R, 64, 64) that spectra (R, H, W // 2 + 1) belong to."""
-    half = PSF_PX // 2
-    rolled: Tensor = torch.fft.irfft2(spectra, s=frame).roll((half, half), (-2, -1))
-    return rolled[:, :PSF_PX, :PSF_PX]

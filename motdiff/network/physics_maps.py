@@ -19,6 +19,7 @@ __all__ = [
     "QuickStart",
     "autocorrelation",
     "display_photo",
+    "lags",
     "physics_maps",
     "quick_kernels",
     "spectral_maps",
@@ -161,25 +162,25 @@ def spectral_maps(photos: Tensor) -> Tensor:
     level = white.mean(dim=(-2, -1), keepdim=True).clamp(min=1e-12)  # 0 where a photo is flat, such as a clipped sky
     log_white = torch.log(white / level + 1e-3)
     both = torch.stack([(white * band).mean(dim=1), (log_white * band).mean(dim=1)], dim=1)
-    return _scaled(_lags(torch.fft.irfft2(both, s=(height, width))))
+    return _scaled(lags(torch.fft.irfft2(both, s=(height, width))))
 
 
 def autocorrelation(kernels: Tensor) -> Tensor:
     """Autocorrelations of kernels (..., 64, 64) at lags of -32..31 px, zero lag at index 32, 1 there."""
     frame = (2 * PSF_PX, 2 * PSF_PX)
-    lags = _lags(torch.fft.irfft2(torch.fft.rfft2(kernels, s=frame).abs().square(), s=frame))
-    return lags / lags[..., PSF_PX // 2, PSF_PX // 2][..., None, None].clamp(min=1e-12)
+    found = lags(torch.fft.irfft2(torch.fft.rfft2(kernels, s=frame).abs().square(), s=frame))
+    return found / found[..., PSF_PX // 2, PSF_PX // 2][..., None, None].clamp(min=1e-12)
 
 
-def _lags(correlation: Tensor) -> Tensor:
+def lags(correlation: Tensor) -> Tensor:
     """Lags -32..31 of a periodic correlation (..., H, W)."""
     half = PSF_PX // 2
     rolled = correlation.roll((half, half), (-2, -1))
     return rolled[..., :PSF_PX, :PSF_PX]
 
 
-def _scaled(lags: Tensor) -> Tensor:
+def _scaled(maps: Tensor) -> Tensor:
     """Zero mean, unit rms, the peak at zero lag held down so that it does not rule."""
-    centred = lags - lags.mean(dim=(-2, -1), keepdim=True)
+    centred = maps - maps.mean(dim=(-2, -1), keepdim=True)
     rms = centred.square().mean(dim=(-2, -1), keepdim=True).sqrt().clamp(min=1e-12)
     return torch.tanh(centred / (4 * rms)) * 4

@@ -12,7 +12,10 @@ from motdiff.network import MotDiffNetwork
 from motdiff.network.diffusion import Schedule, from_signal, samples, to_signal
 from motdiff.psf_frame import MAP_PITCH
 
-__all__ = ["PathSamples", "psf_signals", "psfs_of_maps", "psfs_of_signals", "sample_paths"]
+__all__ = ["DOUBT", "PathSamples", "psf_signals", "psfs_of_maps", "psfs_of_signals", "sample_paths"]
+
+DOUBT = 0.02
+"""Share of the peak below which a network's output is taken for 0: off the path it never quite is."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from torch import Tensor
 
-__all__ = ["inverse_symmetry", "mirrored"]
+__all__ = ["SYMMETRIES", "inverse_symmetry", "mirrored"]
+
+SYMMETRIES = 8
 
 
 def mirrored(maps: Tensor, symmetry: int, *, pitch: int) -> Tensor:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from motdiff.network.physics_maps import display_photo, physics_maps, spectral_maps, stacked_maps
-from motdiff.network.symmetry import mirrored
+from motdiff.network.symmetry import SYMMETRIES, mirrored
 from motdiff.psf_frame import MAP_PITCH
 from motdiff.training.motion_bank import MotionBank
 from motdiff.training.samples import Samples, simulate
@@ -146,8 +146,8 @@ class PreparedSource:
         groups = torch.zeros(size, dtype=torch.int64)
         if self._symmetries:
             draw = torch.Generator().manual_seed(seed_of(self._seed, step, rank))
-            groups = torch.randint(8, (size,), generator=draw)
-        parts = [self._turned(index[groups == s], s) for s in range(8) if bool((groups == s).any())]
+            groups = torch.randint(SYMMETRIES, (size,), generator=draw)
+        parts = [self._turned(index[groups == s], s) for s in range(SYMMETRIES) if bool((groups == s).any())]
         return _joined(parts)
 
     def _order(self, epoch: int, rank: int) -> Tensor:

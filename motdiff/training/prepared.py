@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from motdiff.io.inputs import regular_file
-from motdiff.io.outputs import new_file
 from motdiff.network.condition import PHOTO_PX
 from motdiff.psf_frame import MAP_PX
+from motdiff.training.config import read_config
 from motdiff.training.motion_bank import MotionMix, build_bank
+from motdiff.training.photos import load_photos, split_photos
 from motdiff.training.samples import Samples, simulate
+from motdiff.training.shards import load_shards, write_shards
 from motdiff.training.simulation import Photography
 
-__all__ = ["SHARD_SAMPLES", "prepare", "read_shards", "shard_range"]
+__all__ = ["SHARD_SAMPLES", "Source", "prepare", "read_shards", "read_source", "simulated_shard"]
 
 SHARD_SAMPLES = 64
+_NAME = "shard"
+_SEEDS_APART = 1_000_003  # of two runs: a shard of one has no seed of the other's
 
 
 def prepare(
@@ -46,37 +51,67 @@ def prepare(
     on_shard : callable, optional
         Called with the number of every finished shard.
     """
-    target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
-    for shard in shards:
-        file = target / f"shard_{shard:05d}.npz"
-        if not file.exists():
-            bank = build_bank(mix, count=SHARD_SAMPLES, seed=seed, first=shard * SHARD_SAMPLES)
-            index = torch.arange(SHARD_SAMPLES)
-            with torch.no_grad():
-                samples = simulate(
-                    bank, scenes, index, photography=photography, physics=True, seed=seed * 1_000_003 + shard
-                )
-            _write(file, samples)
-        on_shard(shard)
+
+    def made(shard: int) -> dict[str, NDArray[np.generic]]:
+        return _arrays(
+            simulated_shard(
+                shard, SHARD_SAMPLES, scenes=scenes, mix=mix, photography=photography, physics=True, seed=seed
+            )
+        )
+
+    write_shards(folder, shards, name=_NAME, make=made, on_shard=on_shard)
 
 
-def shard_range(text: str) -> range:
-    """Read the numbers of shards, ``FIRST:LAST`` or ``FIRST:LAST:STEP``, as the option ``--shards`` has them.
+def simulated_shard(
+    shard: int,
+    count: int,
+    *,
+    scenes: Sequence[Tensor],
+    mix: MotionMix,
+    photography: Photography,
+    physics: bool,
+    seed: int,
+) -> Samples:
+    """Simulate the ``count`` samples of a shard, which depend on its number and the seed only.
+
+    Parameters
+    ----------
+    shard, count : int
+    scenes, mix, photography, physics
+        As for :func:`motdiff.training.samples.simulate`.
+    seed : int
+    """
+    bank = build_bank(mix, count=count, seed=seed, first=shard * count)
+    index = torch.arange(count)
+    with torch.no_grad():
+        return simulate(bank, scenes, index, photography=photography, physics=physics, seed=seed * _SEEDS_APART + shard)
+
+
+@dataclass(frozen=True)
+class Source:
+    """What samples are simulated from: scenes, motions, photography, and the seed of the scenes' part."""
+
+    scenes: Sequence[Tensor]
+    mix: MotionMix
+    photography: Photography
+    seed: int
+
+
+def read_source(config_file: Path | str, *, held_out: bool) -> Source:
+    """Read what the samples of a run's TOML file are simulated from, with the scenes to train on or those held out.
 
     Raises
     ------
     ValueError
-        If they are others, or none.
+        If the file is not valid, names no photos, or these cannot be used.
     """
-    try:
-        first, last, *step = (int(number) for number in text.split(":"))
-        shards = range(first, last, *step)
-    except (TypeError, ValueError):
-        raise ValueError(f"--shards: must be FIRST:LAST or FIRST:LAST:STEP, got {text!r}") from None
-    if not shards or min(shards) < 0:
-        raise ValueError(f"--shards: must hold numbers from 0 upwards, FIRST below LAST, got {text!r}")
-    return shards
+    config = read_config(config_file)
+    if not config.data.photos:
+        raise ValueError(f"{config_file}: data.photos is needed to prepare samples")
+    photos = load_photos(config.data.photos, least_px=PHOTO_PX + config.photography.margin)
+    seen, unseen = split_photos(photos, config.data.held_out)
+    seed = config.optimiser.seed + (1 if held_out else 0)
+    return Source(unseen if held_out else seen, config.motions, config.photography, seed)
 
 
 def read_shards(folder: Path | str) -> Samples:
@@ -91,42 +126,28 @@ def read_shards(folder: Path | str) -> Samples:
     ValueError
         If there are none.
     """
-    files = sorted(file for file in Path(folder).glob("shard_*.npz") if ".partial" not in file.suffixes)
-    if not files:
-        raise ValueError(
-            f"{folder}: holds no prepared samples (shard_*.npz); write them with: python -m motdiff prepare"
-        )
-    read = [_read(file) for file in files]
+    missing = "prepared samples (shard_*.npz); write them with: python -m motdiff prepare"
+    read = load_shards(folder, name=_NAME, load=_samples, missing=missing)
     return Samples(
         *(torch.cat([getattr(part, name) for part in read]) for name in ("photos", "kernels", "x0", "dwell"))
     )
 
 
-def _write(file: Path, samples: Samples) -> None:
+def _arrays(samples: Samples) -> dict[str, NDArray[np.generic]]:
     grey = samples.photos.mean(dim=1, keepdim=True).clamp(0, 1).sqrt()
     path = samples.x0 > 0
-    with new_file(file) as temporary:
-        np.savez(
-            temporary,
-            photos=(255 * grey).round().to(torch.uint8).numpy(),
-            kernels=samples.kernels.half().numpy(),
-            x0=np.packbits(path.numpy().reshape(len(samples), -1), axis=1),
-            dwell=samples.dwell[path].half().numpy(),
-        )
+    return {
+        "photos": (255 * grey).round().to(torch.uint8).numpy(),
+        "kernels": samples.kernels.half().numpy(),
+        "x0": np.packbits(path.numpy().reshape(len(samples), -1), axis=1),
+        "dwell": samples.dwell[path].half().numpy(),
+    }
 
 
-def _read(file: Path) -> Samples:
-    try:
-        return _loaded(file)
-    except (zipfile.BadZipFile, EOFError, KeyError) as error:
-        raise ValueError(f"{file}: is damaged ({error}); delete it and prepare it again") from error
-
-
-def _loaded(file: Path) -> Samples:
-    with np.load(regular_file(file)) as stored:
-        count = len(stored["photos"])
-        path = np.unpackbits(stored["x0"], axis=1).reshape(count, 1, MAP_PX, MAP_PX)
-        dwell = np.zeros(path.shape, np.float16)
-        dwell[path > 0] = stored["dwell"]
-        photos = stored["photos"].reshape(count, 1, PHOTO_PX, PHOTO_PX)
-        return Samples(*(torch.from_numpy(array) for array in (photos, stored["kernels"], path, dwell)))
+def _samples(stored: Mapping[str, NDArray[Any]]) -> Samples:
+    count = len(stored["photos"])
+    path = np.unpackbits(stored["x0"], axis=1).reshape(count, 1, MAP_PX, MAP_PX)
+    dwell = np.zeros(path.shape, np.float16)
+    dwell[path > 0] = stored["dwell"]
+    photos = stored["photos"].reshape(count, 1, PHOTO_PX, PHOTO_PX)
+    return Samples(*(torch.from_numpy(array) for array in (photos, stored["kernels"], path, dwell)))

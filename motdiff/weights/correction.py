@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from safetensors.torch import save
 from torch import Tensor
 
 from motdiff import weights_io
-from motdiff.io.outputs import write_bytes
 from motdiff.network.correction import CorrectionNetwork
-from motdiff.weights_io import fill, halved
+from motdiff.weights_io import filled, write_with_card
 
 __all__ = ["CORRECTION_WEIGHTS", "SCHEMA", "load_correction", "read_card", "write_correction"]
 
@@ -38,9 +35,7 @@ def write_correction(state: Mapping[str, Tensor], target: Path | str, *, about: 
     ValueError
         If float16 cannot hold them.
     """
-    data = save(halved(state, source=target), {SCHEMA: json.dumps(about)})
-    write_bytes(Path(target), data)
-    return len(data)
+    return write_with_card(state, target, schema=SCHEMA, card=about, source=target)
 
 
 def read_card(path: Path | str = CORRECTION_WEIGHTS) -> dict[str, Any]:
@@ -62,7 +57,4 @@ def load_correction(path: Path | str = CORRECTION_WEIGHTS) -> CorrectionNetwork:
     ValueError
         If the file is not one of ours.
     """
-    read_card(path)
-    network = CorrectionNetwork()
-    fill(network, path)
-    return network
+    return filled(CorrectionNetwork(), path, schema=SCHEMA)

@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
 from motdiff.estimators.kernel_score import noise_sigma
 from motdiff.estimators.pmp import PmpEstimator
-from motdiff.io.inputs import regular_file
-from motdiff.io.outputs import new_file
 from motdiff.network.correction import CorrectionNetwork, corrected, correction_maps
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.psf_frame import in_frame
 from motdiff.threads import one_thread_a_call
-from motdiff.training.motion_bank import MotionMix, build_bank
-from motdiff.training.samples import Samples, registration, shifted, simulate
+from motdiff.training.motion_bank import MotionMix
+from motdiff.training.prepared import simulated_shard
+from motdiff.training.samples import Samples, registration, shifted
+from motdiff.training.shards import load_shards, write_shards
 from motdiff.training.simulation import Photography
 
 __all__ = ["SHARD_PHOTOS", "Kernels", "alike", "prepare", "read_kernels", "searched"]
 
 SHARD_PHOTOS = 16
+_NAME = "kernels"
 LEAST_ALIKE = 0.4
 """A kernel less like the true one is lost: it says nothing about where the path lies."""
 _SHIFT_PX = 2
@@ -110,19 +112,15 @@ def prepare(
     on_shard : callable, optional
         Called with the number of every finished shard.
     """
-    target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
-    for shard in shards:
-        file = target / f"kernels_{shard:05d}.npz"
-        if not file.exists():
-            bank = build_bank(mix, count=SHARD_PHOTOS, seed=seed, first=shard * SHARD_PHOTOS)
-            number = seed * 1_000_003 + shard
-            index = torch.arange(SHARD_PHOTOS)
-            samples = simulate(bank, scenes, index, photography=photography, physics=False, seed=number)
-            kernels = searched(samples, network=network)
-            with new_file(file) as temporary:
-                np.savez(temporary, maps=kernels.maps.numpy(), truth=kernels.truth.numpy())
-        on_shard(shard)
+
+    def made(shard: int) -> dict[str, NDArray[np.generic]]:
+        samples = simulated_shard(
+            shard, SHARD_PHOTOS, scenes=scenes, mix=mix, photography=photography, physics=False, seed=seed
+        )
+        kernels = searched(samples, network=network)
+        return {"maps": kernels.maps.numpy(), "truth": kernels.truth.numpy()}
+
+    write_shards(folder, shards, name=_NAME, make=made, on_shard=on_shard)
 
 
 def read_kernels(*folders: Path | str) -> Kernels:
@@ -133,22 +131,13 @@ def read_kernels(*folders: Path | str) -> Kernels:
     ValueError
         If a folder has none, or one is damaged.
     """
-    maps, truth = [], []
-    for file in chain.from_iterable(map(_shards, folders)):
-        try:
-            with regular_file(file).open("rb") as stream, np.load(stream) as stored:
-                maps.append(torch.from_numpy(stored["maps"]))
-                truth.append(torch.from_numpy(stored["truth"]))
-        except (zipfile.BadZipFile, EOFError, KeyError) as error:
-            raise ValueError(f"{file}: is damaged ({error}); delete it and prepare it again") from error
-    kernels = Kernels(torch.cat(maps), torch.cat(truth))
-    if not len(kernels):
+    missing = "kernels_*.npz; write them with: python -m research.correction prepare"
+    parts = [load_shards(folder, name=_NAME, load=_kernels, missing=missing) for folder in folders]
+    maps, truth = (torch.cat([getattr(part, name) for part in chain(*parts)]) for name in ("maps", "truth"))
+    if not len(maps):
         raise ValueError(f"{', '.join(map(str, folders))}: every kernel was lost; prepare more shards")
-    return kernels
+    return Kernels(maps, truth)
 
 
-def _shards(folder: Path | str) -> list[Path]:
-    files = sorted(file for file in Path(folder).glob("kernels_*.npz") if ".partial" not in file.suffixes)
-    if not files:
-        raise ValueError(f"{folder}: holds no kernels_*.npz; write them with: python -m research.correction prepare")
-    return files
+def _kernels(stored: Mapping[str, NDArray[Any]]) -> Kernels:
+    return Kernels(torch.from_numpy(stored["maps"]), torch.from_numpy(stored["truth"]))

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from motdiff.network.correction import CorrectionNetwork, corrected
-from motdiff.network.symmetry import mirrored
+from motdiff.network.symmetry import SYMMETRIES, mirrored
 from motdiff.weights.correction import write_correction
 from research.correction.samples import Kernels, alike
 
@@ -22,7 +22,6 @@ _WARM_UP_STEPS = 50
 _LONGEST_GRADIENT = 1.0
 _AVERAGED = 0.997  # share of the old weights in the running average, once there are enough of them
 _DECAY = 1e-2
-_SYMMETRIES = 8
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ class Trainer:
     def _batch(self) -> tuple[Tensor, Tensor]:
         """Draw maps (B, 11, 64, 64) and true PSFs (B, 64, 64) at random, all turned or mirrored the same way."""
         index = torch.randint(len(self._kernels), (self.settings.batch,), generator=self._generator)
-        symmetry, swapped = (int(torch.randint(n, (1,), generator=self._generator)) for n in (_SYMMETRIES, 2))
+        symmetry, swapped = (int(torch.randint(n, (1,), generator=self._generator)) for n in (SYMMETRIES, 2))
         maps, truth = self._kernels.maps[index].float(), self._kernels.truth[index].float()
         if swapped:  # the two other kernels have no order
             maps = maps[:, [0, 2, 1, *range(3, maps.shape[1])]]

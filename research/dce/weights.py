@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,15 +9,13 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
-from safetensors.torch import save
 
 from cep.optics.code import ShutterCode
 from cep.restoration.spectral import channels_first, channels_last
 from motdiff import weights_io
 from motdiff.io.inputs import one_line
-from motdiff.io.outputs import write_bytes
 from motdiff.training.checkpoint import read_checkpoint
-from motdiff.weights_io import fill, halved
+from motdiff.weights_io import filled, write_with_card
 from research.dce.binarise import code_of
 from research.dce.network import RestorationNetwork
 
@@ -80,9 +77,7 @@ def load_network(path: Path | str = WEIGHTS) -> RestorationNetwork:
         If the file is not one of ours.
     """
     read_card(path)
-    network = RestorationNetwork()
-    fill(network, path)
-    return network
+    return filled(RestorationNetwork(), path, schema=SCHEMA)
 
 
 def restore(photo: ArrayLike, *, code: ShutterCode | None = None, path: Path = WEIGHTS) -> FloatArray:
@@ -133,7 +128,6 @@ def export_weights(checkpoint: Path | str, target: Path | str, *, notes: Mapping
     found = read_checkpoint(checkpoint)
     if found is None:
         raise ValueError(f"{checkpoint}: holds no checkpoint")
-    tensors = halved(found.part("model."), source=checkpoint)
     card = {
         "bits": code_of(found.tensors["code"]).bits,
         "settings": found.config,
@@ -141,7 +135,4 @@ def export_weights(checkpoint: Path | str, target: Path | str, *, notes: Mapping
         "seconds": round(found.seconds),
         "notes": dict(notes or {}),
     }
-    # safetensors shuffles a header's entries: one alone gives the same bytes for the same run
-    data = save(tensors, {SCHEMA: json.dumps(card)})
-    write_bytes(Path(target), data)
-    return len(data)
+    return write_with_card(found.part("model."), target, schema=SCHEMA, card=card, source=checkpoint)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,13 +9,11 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.torch import save
 from torch import Tensor
 
 from cep.restoration.denoiser.network import DenoisingNetwork
 from motdiff import weights_io
-from motdiff.io.outputs import write_bytes
-from motdiff.weights_io import fill, halved
+from motdiff.weights_io import filled, write_with_card
 
 __all__ = ["SCHEMA", "SHIPPED", "load_denoiser", "read_card", "write_weights"]
 
@@ -34,9 +31,7 @@ def write_weights(state: Mapping[str, Tensor], target: Path | str, *, about: Map
     ValueError
         If float16 cannot hold them.
     """
-    data = save(halved(state, source=target), {SCHEMA: json.dumps(about)})
-    write_bytes(Path(target), data)
-    return len(data)
+    return write_with_card(state, target, schema=SCHEMA, card=about, source=target)
 
 
 def read_card(path: Path | str = SHIPPED) -> dict[str, Any]:
@@ -60,9 +55,7 @@ def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], F
     ValueError
         If the file is not one of ours.
     """
-    read_card(path)
-    network = DenoisingNetwork()
-    fill(network, path)
+    network = filled(DenoisingNetwork(), path, schema=SCHEMA)
 
     def denoised(image: FloatArray, sigma: float) -> FloatArray:
         with torch.inference_mode():

@@ -15,14 +15,12 @@ from motdiff.network.condition import PHOTO_PX
 from motdiff.network.diffusion import cosine_schedule
 from motdiff.network.physics_maps import QUICK_STARTS, display_photo, physics_maps, quick_kernels
 from motdiff.network.sampling import sample_paths
-from motdiff.network.symmetry import inverse_symmetry, mirrored
+from motdiff.network.symmetry import SYMMETRIES, inverse_symmetry, mirrored
 from motdiff.threads import side_by_side
 
 __all__ = ["draw_psfs", "quick_search"]
 
 FloatArray = NDArray[np.float64]
-
-_SYMMETRIES = 8  # of the square
 
 
 def draw_psfs(
@@ -57,7 +55,7 @@ def draw_psfs(
     if network.physics is not None:
         physics = physics_maps(light, torch.from_numpy(classical.astype(np.float32))[None])
     photo = None if network.photo is None else _photo(light)
-    turns = range(min(_SYMMETRIES, count))
+    turns = range(min(SYMMETRIES, count))
     seeds = torch.randint(2**62, (len(turns),), generator=generator).tolist()
     jobs = [
         partial(
@@ -66,7 +64,7 @@ def draw_psfs(
             photo,
             physics,
             symmetry=s,
-            count=len(range(s, count, _SYMMETRIES)),
+            count=len(range(s, count, SYMMETRIES)),
             steps=steps,
             generator=torch.Generator().manual_seed(seed),
             method=method,
@@ -74,7 +72,7 @@ def draw_psfs(
         for s, seed in zip(turns, seeds, strict=True)
     ]
     psfs = side_by_side(jobs)
-    drawn = torch.stack([psfs[i % _SYMMETRIES][i // _SYMMETRIES] for i in range(count)])
+    drawn = torch.stack([psfs[i % SYMMETRIES][i // SYMMETRIES] for i in range(count)])
     return np.asarray(drawn.double().numpy(), dtype=np.float64)
 
 

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from motdiff.estimators.base import FoundKernels
-from motdiff.estimators.kernel_score import Judge, candidate_probabilities, distinct, noise_sigma
+from motdiff.estimators.kernel_score import Judge, candidate_probabilities, distinct, noise_sigma, shared_sigma
 from motdiff.estimators.motdiff.correcting import corrected_choice
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import BlindEstimator
@@ -19,6 +19,7 @@ from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, planned, refined
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
+from motdiff.network.sampling import DOUBT
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.threads import side_by_side
 from motdiff.weights import load_network
@@ -32,7 +33,6 @@ _ODD_PX = PSF_PX - 1
 _REFINED = 3
 # processor time of the stages, in starts of the classical search
 _DRAW_COST, _JUDGE_COST, _REFINE_COST, _SINGLE_COST, _CORRECT_COST, _TRACE_COST = 0.4, 0.2, 0.45, 0.35, 0.6, 0.25
-_DOUBT = 0.02  # share of the peak: off the path a network's output is never quite 0
 # of the search's starts, those that stand for the shortened ones the network was trained with; the first two agreeing,
 # the larger one stands for the one not run as well
 _TOLD_OF_ALL, _TOLD_OF_TWO = (2, 0, 1), (1, 0, 1)
@@ -146,7 +146,7 @@ class MotDiffEstimator(BlindEstimator):
 
     def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
         """Fit a kernel (k, k) to the crops (C, H, W) once more."""
-        return refined(crops, kernel, float(np.median([noise_sigma(crop) for crop in crops])))
+        return refined(crops, kernel, shared_sigma(crops))
 
     def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:
         """Correct the best kernel and the likeliest different ones, and choose anew."""
@@ -165,7 +165,7 @@ class MotDiffEstimator(BlindEstimator):
 
 def _in_odd_frames(psfs: FloatArray) -> list[FloatArray]:
     """Cut PSFs (N, 64, 64) to odd frames of 63 px, exactly 0 off the path, sum 1."""
-    odd = without_faint_light(in_frame(psfs, _ODD_PX), below=_DOUBT)
+    odd = without_faint_light(in_frame(psfs, _ODD_PX), below=DOUBT)
     return list(odd / odd.sum(axis=(1, 2), keepdims=True))
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from motdiff.crops import LEAST_PX
 from motdiff.estimators.base import FoundKernels
-from motdiff.estimators.kernel_score import noise_sigma, rank_kernels
+from motdiff.estimators.kernel_score import rank_kernels, shared_sigma
 from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
 from motdiff.metrics import mnc_subpixel
@@ -106,7 +106,7 @@ class PmpEstimator(BlindEstimator):
         kernels = self.kernels(crops, progress=self._progress)
         ranking = rank_kernels(crops, kernels)
         self._progress.spend(_RANK_COST)
-        kernels[ranking.best] = refined(crops, kernels[ranking.best], _sigma(crops), device=self._device)
+        kernels[ranking.best] = refined(crops, kernels[ranking.best], shared_sigma(crops), device=self._device)
         self._progress.spend(_REFINE_COST)
         details: dict[str, object] = {"starts": len(kernels), "agreement": ranking.agreement}
         return FoundKernels(tuple(kernels), ranking.probabilities, ranking.best, details)
@@ -138,12 +138,12 @@ class PmpEstimator(BlindEstimator):
 
     def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
         """Fit a kernel (k, k) to the crops (C, H, W) once more."""
-        return refined(crops, kernel, _sigma(crops), device=self._device)
+        return refined(crops, kernel, shared_sigma(crops), device=self._device)
 
     def _run(self, crops: FloatArray, start: Start, *, tell: Callable[[float], None]) -> FloatArray:
         turned = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
         batch = torch.from_numpy(np.ascontiguousarray(turned))[None].to(self._device)
-        settings = PmpSettings.for_noise(_sigma(crops))
+        settings = PmpSettings.for_noise(shared_sigma(crops))
         settings = replace(settings, sparsity=start.sparsity, gradient_weight=start.gradient_weight)
         size = min(start.size, (min(crops.shape[1:]) // 2) * 2 - 1)
         kernel = estimate_kernels(batch, size=size, settings=settings, tell=tell)[0].cpu().numpy()
@@ -172,7 +172,3 @@ def refined(crops: FloatArray, kernel: FloatArray, sigma: float, *, device: str 
     with torch.no_grad():
         found = refine_kernel(light, found, sigma=sigma)
     return np.asarray(found[0].cpu().numpy(), dtype=np.float64)
-
-
-def _sigma(crops: FloatArray) -> float:
-    return float(np.median([noise_sigma(crop) for crop in crops]))
