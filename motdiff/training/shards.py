@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from motdiff.io.inputs import regular_file
+from motdiff.io.inputs import one_line, regular_file
 from motdiff.io.outputs import new_file
 
 __all__ = ["load_shards", "shard_range", "write_shards"]
@@ -100,8 +100,11 @@ def load_shards(
 
 
 def _loaded(file: Path, load: Callable[[Mapping[str, NDArray[np.generic]]], _Loaded]) -> _Loaded:
+    regular_file(file)
     try:
-        with regular_file(file).open("rb") as stream, np.load(stream) as stored:
+        with file.open("rb") as stream, np.load(stream) as stored:
             return load(stored)
-    except (zipfile.BadZipFile, EOFError, KeyError) as error:
-        raise ValueError(f"{file}: is damaged ({error}); delete it and prepare it again") from error
+    except (zipfile.BadZipFile, EOFError, KeyError, ValueError) as error:
+        # numpy takes a file that is no archive for a pickle, and says how to load it unsafely
+        why = "no archive of arrays" if "pickle" in str(error) else one_line(error)
+        raise ValueError(f"{file}: is damaged ({why}); delete it and prepare it again") from error
