@@ -8,6 +8,7 @@ import sys
 import time
 
 import pytest
+from children import child
 from emulators.cxp_controller import (
     ABORT,
     ARM,
@@ -200,8 +201,8 @@ def test_a_watcher_sees_what_others_do_and_disturbs_nothing(cep, controller):
 
 def test_watching_ends_at_ctrl_c_with_what_was_seen(controller):
     command = [sys.executable, "-c", "from cep.cli.main import run; run()", "hw", "monitor", "--json"]
-    with subprocess.Popen(
-        [*command, "--port", controller.port], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ
+    with child(
+        [*command, "--port", controller.port], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ
     ) as watcher:
         deadline = time.monotonic() + 60
         while len(controller.ops) < 3 and time.monotonic() < deadline:
@@ -223,9 +224,9 @@ def test_ctrl_c_on_a_terminal_ends_an_emulation_with_all_that_its_pins_did(tmp_p
     require_simavr()
     link, vcd = tmp_path / "uno", tmp_path / "played.vcd"
     cep = [sys.executable, "-c", "from cep.cli.main import run; run()"]
-    with subprocess.Popen(
+    with child(
         [*cep, "hw", "emulate", "uno", "--link", str(link), "--vcd", str(vcd), "--json"],
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True,
     ) as emulator:  # fmt: skip
         deadline = time.monotonic() + 60
         while not link.is_symlink() and time.monotonic() < deadline:
@@ -311,13 +312,8 @@ def test_none_or_several_controllers_are_not_guessed(cep, controller, ports):
 @pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_being_ended_while_playing_closes_the_shutter(controller, ending):
     command = [sys.executable, "-c", "from cep.cli.main import run; run()", "upload", "1" * 100, "--play"]
-    with subprocess.Popen(
-        [*command, "--chip-ns", "30000000", "--port", controller.port],
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ,
-        # run under nohup, the tests would hand down that a hang-up is ignored, and the command keeps to that
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
+    with child(
+        [*command, "--chip-ns", "30000000", "--port", controller.port], stderr=subprocess.PIPE, env=os.environ
     ) as playing:
         deadline = time.monotonic() + 60
         while not controller.plays and time.monotonic() < deadline:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from children import child
 from scipy.io import savemat
 
 from cep.cli import console
@@ -423,8 +424,7 @@ def test_a_second_interrupt_does_not_lose_the_code(cep, workplace, monkeypatch):
 
 
 _LOUD = """
-import signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+import sys
 from cep.cli.main import run
 from cep.search import recipe as module
 
@@ -442,10 +442,10 @@ run()
 
 def test_a_real_interrupt_of_a_long_search(workplace):
     limits = ["--chips", "12", "--steps", "1000000000", "--time", "600"]
-    with subprocess.Popen(
+    with child(
         [sys.executable, "-c", _LOUD, "optimize", "--linear", "20", *limits, "-o", "new.json", "--json"],
         env=os.environ | {"PYTHONPATH": str(Path(console.__file__).parents[2])},
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         assert process.stderr.readline() == "searching\n"
         process.send_signal(signal.SIGINT)

@@ -13,6 +13,7 @@ from pathlib import Path
 import bench_work
 import numpy as np
 import pytest
+from children import child
 
 from cep.cli.console import FAILURE, explain
 from cep.jobs.cells import Cell
@@ -140,10 +141,9 @@ def test_a_key_press_stops_processes_quietly(cache, log):
         f"outcome = run_cells(cells, cache={str(cache)!r}, workers=2)\n"
         "print(len(outcome.results), outcome.missing)"
     )
-    running = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
-    try:
+    with child(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+    ) as running:
         deadline = time.monotonic() + 120
         while not cache.is_dir() or not list(cache.glob("[!.]*.json")):
             assert running.poll() is None
@@ -151,9 +151,6 @@ def test_a_key_press_stops_processes_quietly(cache, log):
             time.sleep(0.05)
         os.killpg(running.pid, signal.SIGINT)
         out, err = running.communicate(timeout=60)
-    finally:
-        running.kill()
-        running.wait()
     assert err == ""
     finished, missing = map(int, out.split())
     assert finished == len(list(cache.iterdir())) >= 1

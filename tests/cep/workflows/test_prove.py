@@ -1,7 +1,6 @@
 """A proof in blocks: killed, stopped and continued, it loses nothing and counts nothing twice."""
 
 import json
-import subprocess
 import sys
 import time
 from functools import partial
@@ -10,6 +9,7 @@ from pathlib import Path
 import bench_work
 import numpy as np
 import pytest
+from children import child
 from emulators.cluster import cluster_in, killing_one
 
 from cep.codes.optima import OPTIMA
@@ -123,16 +123,14 @@ def test_a_run_that_is_killed_is_continued(tmp_path):
         "def slow(share, best):\n    time.sleep(0.3)\n"
         f"module.prove(SearchProblem(chips=22), folder={str(tmp_path)!r}, progress=slow)"
     )
-    running = subprocess.Popen([sys.executable, "-c", code])
     path, deadline = tmp_path / FILE_NAME, time.monotonic() + 120
-    while not path.exists() or path.read_bytes().count(b"\n") < 3:
-        assert running.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    with pytest.raises(ValueError, match="another run works on this proof"):
-        prove(PROBLEM, folder=tmp_path)
-    running.kill()
-    running.wait()
+    with child([sys.executable, "-c", code]) as running:
+        while not path.exists() or path.read_bytes().count(b"\n") < 3:
+            assert running.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        with pytest.raises(ValueError, match="another run works on this proof"):
+            prove(PROBLEM, folder=tmp_path)
     before = path.read_bytes()
     assert 3 <= before.count(b"\n") < 1 + len(plan_blocks(PROBLEM).blocks)
     assert_whole(tmp_path, prove(PROBLEM, folder=tmp_path))

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from children import child
 
 from motdiff.network import NetworkConfig
 from motdiff.network.physics_maps import QuickStart, quick_kernels
@@ -261,17 +262,14 @@ def test_a_signal_ends_a_piece_with_a_checkpoint(prepared, tmp_path):
         "--device",
         "cpu",
     ]
-    with subprocess.Popen(command, cwd=tmp_path, env=alone(), stderr=subprocess.PIPE, text=True) as process:
-        try:
-            until = time.monotonic() + 120
-            while not (tmp_path / "run" / "checkpoint").exists():  # from now on the signals are noted
-                assert process.poll() is None, process.stderr.read()
-                assert time.monotonic() < until
-                time.sleep(0.05)
-            process.send_signal(signal.SIGTERM)
-            _, told = process.communicate(timeout=60)
-        finally:
-            process.kill()
+    with child(command, cwd=tmp_path, env=alone(), stderr=subprocess.PIPE) as process:
+        until = time.monotonic() + 120
+        while not (tmp_path / "run" / "checkpoint").exists():  # from now on the signals are noted
+            assert process.poll() is None, process.stderr.read()
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        process.send_signal(signal.SIGTERM)
+        _, told = process.communicate(timeout=60)
     assert process.returncode == 0, told
     assert "Traceback" not in told
     step = read_checkpoint(tmp_path / "run" / "checkpoint").step
