@@ -39,10 +39,11 @@ def _signals_of_a_foreground_job() -> Iterator[None]:
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Say in one line which tests were skipped, and how to have them."""
+    """Say which tests were skipped, and how to have them."""
     skipped = terminalreporter.stats.get("skipped", [])
     if not skipped:
         return
     reasons = Counter(str(report.longrepr[2]).removeprefix("Skipped: ") for report in skipped)
     listed = "; ".join(f"{count} x {reason}" for reason, count in reasons.most_common())
-    terminalreporter.write_line(f"{len(skipped)} skipped: {listed}. `.ci/tools` installs what is missing.")
+    terminalreporter.write_line(f"{len(skipped)} skipped: {listed}.")
+    terminalreporter.write_line("`.ci/tools` installs emulators, compilers and a browser; pip, the packages.")
