@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Self
 
 from hw.device import DeviceProfile
 from hw.drivers.pulsepal_link import Parameter, PulsePalLink, dac_code, open_pulsepal
 from hw.drivers.write_only import WriteOnlyDevice
 from hw.export.pulsepal import MAX_PULSES, pulse_train
+from hw.port import LinkError
 from hw.program import Program
 
 __all__ = ["PulsePal"]
@@ -126,7 +128,13 @@ class PulsePal(WriteOnlyDevice):
         self.link.trigger(self.channel)
 
     def _abort(self) -> None:
-        self.link.stop()
+        try:
+            self.link.stop()
+        except LinkError:
+            # A device whose answers are lost may still obey: its trigger input must not play the code again.
+            with contextlib.suppress(LinkError):
+                self.link.set(_LINKS[self.trigger_input], self.channel, 0)
+            raise
         for linked in _LINKS.values():
             self.link.set(linked, self.channel, 0)
         # A trigger that was waiting at the first stop has started a train right behind it; now none can follow.

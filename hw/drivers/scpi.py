@@ -17,7 +17,15 @@ from hw.program import Program
 __all__ = ["ScpiAwg"]
 
 _MODEL = re.compile(r"33[56]\d\d[A-Z]?|EDU3321\d[A-Z]?")
-_ON, _OFF = ("1", "ON"), ("0", "OFF")
+_ON, _OFF = re.compile("1|ON"), re.compile("0|OFF")
+_ONE_CODE_A_TRIGGER = {
+    "FUNC?": re.compile("ARB"),
+    "BURS:MODE?": re.compile("TRIG"),
+    "BURS:NCYC?": re.compile(r"\+?1(\.0*)?(E\+?0+)?"),
+    "TRIG:SOUR?": re.compile("EXT"),
+    "BURS:STAT?": _ON,
+}
+"""Answers of an instrument that plays at a trigger only, and once: with any other it plays again and again."""
 _CLOCK = 1e-6  # clock error of such an instrument
 
 
@@ -94,12 +102,13 @@ class ScpiAwg(WriteOnlyDevice):
 
     def play(self) -> None:
         """Play the program once, now, and wait until it must be over; one that was not armed is not left armed."""
-        armed = self._armed
-        if not armed:
-            self.arm()  # with the output off nothing would be seen of it
-        super().play()
-        if not armed:
-            self.abort()
+        if self._armed:
+            super().play()
+            return
+        self.arm()  # with the output off nothing would be seen of it
+        with self._aborted_on_error():
+            super().play()
+        self.abort()
 
     def _lasts_ns(self, program: Program) -> int:
         return len(samples(program)) * program.chip_ns
@@ -123,14 +132,15 @@ class ScpiAwg(WriteOnlyDevice):
             )
 
     def _arm(self) -> None:
-        # A burst that an abort cut off may still be running behind the closed output: it must not go on.
+        # Without a burst the output runs freely: it is off before the burst is, and until the instrument confirms one.
+        self.abort()
+        # A burst that an abort cut off may still be running behind the output: it must not go on.
         self.link.do("BURS:STAT OFF")
-        # Without a burst the output would run freely: it is not switched on before the instrument says it has one.
-        for command, question in (("BURS:STAT ON", "BURS:STAT?"), ("OUTP ON", "OUTP?")):
-            self.link.do(command)
-            answer = self.link.ask(question)
-            if answer not in _ON:
-                raise DeviceError(f"{self.name} says {answer[:40]!r} to {question} after {command}: it is not armed")
+        self.link.do("BURS:STAT ON")
+        for question, right in _ONE_CODE_A_TRIGGER.items():
+            self._confirm(question, right)
+        self.link.do("OUTP ON")
+        self._confirm("OUTP?", _ON)
         self._armed = True
 
     def _trigger(self) -> None:
@@ -141,13 +151,18 @@ class ScpiAwg(WriteOnlyDevice):
         self.link.send("OUTP OFF")
         self.link.send("*CLS")  # clear errors of earlier commands
         answer = self.link.ask("OUTP?")
-        if answer not in _OFF:
+        if not _OFF.fullmatch(answer):
             raise LinkError(
                 f"{self.name} says {answer[:40]!r} to OUTP?: its output must be off, look at the instrument"
             )
 
     def _disconnect(self) -> None:
         self.link.close()
+
+    def _confirm(self, question: str, right: re.Pattern[str]) -> None:
+        answer = self.link.ask(question)
+        if not right.fullmatch(answer):
+            raise DeviceError(f"{self.name} says {answer[:40]!r} to {question}: it is not armed, look at the instrument")
 
 
 def _identity(link: ScpiLink) -> str:

@@ -83,7 +83,8 @@ def test_upload_sends_these_messages_and_no_others():
         "BURS:MODE TRIG", "BURS:NCYC 1", "BURS:PHAS 0",
         "TRIG:SOUR EXT", "TRIG:SLOP POS", "TRIG:DEL 0", "BURS:STAT ON",
         "FUNC:ARB:SRAT?",
-        "BURS:STAT OFF", "BURS:STAT ON", "BURS:STAT?", "OUTP ON", "OUTP?", "TRIG",
+        "OUTP OFF", "*CLS", "OUTP?", "BURS:STAT OFF", "BURS:STAT ON",
+        "FUNC?", "BURS:MODE?", "BURS:NCYC?", "TRIG:SOUR?", "BURS:STAT?", "OUTP ON", "OUTP?", "TRIG",
         "OUTP OFF", "*CLS", "OUTP?",
     ]  # fmt: skip
     assert device.messages.count("SYST:ERR?") == 25  # one after each command but those of ABORT
@@ -140,6 +141,89 @@ def test_output_is_never_live_before_it_is_armed_and_waits_for_its_trigger():
         device.trigger_input()
         awg.abort()
         assert device.volts_now is None
+
+
+def arm_again_and_again(awg):
+    """Every way to arm and to disarm, one after another."""
+    awg.upload(SHORT, arm=True)
+    awg.arm()
+    awg.trigger()
+    awg.arm()
+    awg.upload(SHORT, arm=True)
+    awg.abort()
+    awg.play()
+    awg.arm()
+    awg.play()
+    awg.abort()
+
+
+SHORT = Program.from_bits("101", chip_ns=1000)
+
+
+def test_arming_what_is_armed_or_plays_never_lets_the_output_run_freely():
+    with Awg() as device, ScpiAwg.open(device.resource) as awg:
+        arm_again_and_again(awg)
+        assert device.free_runs == 0
+        awg.upload(SLOW, arm=True)
+        awg.trigger()
+        awg.arm()
+        assert (device.volts_now, device.free_runs) == (0.0, 0)
+        awg.trigger()
+        assert len(device.plays) == 5
+
+
+class CutWire:
+    """A VISA resource on an instrument, dead from one of its reads and writes on."""
+
+    def __init__(self, device, *, after):
+        self.device, self.left, self.answers = device, after, []
+
+    def _alive(self):
+        if self.left == 0:
+            raise OSError("cut")
+        self.left -= 1
+
+    def write_raw(self, message):
+        self._alive()
+        self.answers += self.device.execute(message.removesuffix(b"\n"))
+
+    def read(self):
+        self._alive()
+        return self.answers.pop(0)
+
+    def close(self):
+        pass
+
+
+def test_a_link_cut_between_any_two_messages_leaves_nothing_that_runs_without_a_trigger():
+    device = Awg()
+    device._server.close()
+    whole = CutWire(device, after=10_000)
+    with ScpiAwg(ScpiLink(whole, name="wire")) as awg:
+        arm_again_and_again(awg)
+    messages = 10_000 - whole.left
+    assert messages > 300
+    for count in range(2, messages):
+        device._reset()
+        with (
+            pytest.raises(LinkError, match="cut"),
+            ScpiAwg(ScpiLink(CutWire(device, after=count), name="wire")) as awg,
+        ):
+            arm_again_and_again(awg)
+        assert device.free_runs == 0
+        if device.output:
+            armed = (device.function, device.burst, device.burst_mode, device.cycles, device.source)
+            assert armed == ("ARB", True, "TRIG", 1, "EXT")
+
+
+@pytest.mark.parametrize("ignored", ["FUNC ARB", "BURS:MODE TRIG", "BURS:NCYC 1", "TRIG:SOUR EXT"])
+def test_an_instrument_that_would_repeat_the_code_is_not_switched_on(ignored):
+    with Awg(Faults(ignore=ignored)) as device, ScpiAwg.open(device.resource) as awg:
+        execute(device, "BURS:NCYC 7;MODE GAT")
+        with pytest.raises(DeviceError, match="it is not armed"):
+            awg.upload(PROGRAM, arm=True)
+        assert "OUTP ON" not in device.messages
+        assert device.free_runs == 0
 
 
 def test_raskar_in_real_time_and_two_triggers():
