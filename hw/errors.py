@@ -50,7 +50,7 @@ class WrongStateError(DeviceError):
 
 
 class DutyLimitError(DeviceError):
-    """The program is open for a larger part of its time than the device allows."""
+    """The program is open for a larger part of its time than the device allows, or it would follow another too soon."""
 
 
 class OnLimitError(DeviceError):
@@ -67,8 +67,12 @@ _KINDS: dict[int, tuple[type[DeviceError], str]] = {
     ErrorCode.ON_LIMIT: (OnLimitError, "an opening is too long: use shorter runs of open chips, or shorter chips"),
 }  # fmt: skip
 
+_OWED = "a play was cut short, and no other may begin before it would have ended: wait, then arm again"
+
 
 def device_error(code: int, *, request: str, source: str) -> DeviceError:
     """Typed exception for an error byte; `source` names the device and `request` what it refuses."""
     kind, text = _KINDS.get(code, (DeviceError, f"error {code}, which this version does not know"))
+    if kind is DutyLimitError and request == "ARM":
+        text = _OWED
     return kind(f"{source} refuses {request}: {text}")

@@ -162,7 +162,9 @@ class ScpiAwg(WriteOnlyDevice):
     def _confirm(self, question: str, right: re.Pattern[str]) -> None:
         answer = self.link.ask(question)
         if not right.fullmatch(answer):
-            raise DeviceError(f"{self.name} says {answer[:40]!r} to {question}: it is not armed, look at the instrument")
+            raise DeviceError(
+                f"{self.name} says {answer[:40]!r} to {question}: it is not armed, look at the instrument"
+            )
 
 
 def _identity(link: ScpiLink) -> str:

@@ -331,6 +331,41 @@ def check_announced_limits(device: Device) -> None:
     assert host.state == LOADED
 
 
+def check_closed_time_is_owed(device: Device) -> None:
+    """Only for a device that announces a limit of the open fraction: a play cut short delays the next one."""
+    host = Host(device)
+    assert host.hello()["duty"] < 1000
+    ticks = host.ticks(0.01)
+
+    def refused() -> bool:
+        error, data = host.ask(ARM, arm(60000))
+        assert (error, data) in ((OK, b""), (DUTY_LIMIT, b""))
+        return error == DUTY_LIMIT
+
+    host.ok(LOAD, program(ticks, "1" * 8 + "0" * 32))
+    host.ok(ARM, arm(60000))
+    host.ok(TRIG)
+    host.ok(ABORT)
+    assert refused()
+    assert host.state == LOADED
+    host.ok(LOAD, program(ticks, "1" * 2 + "0" * 8))
+    assert refused()
+    device.sleep(0.2)
+    assert refused()
+    device.sleep(0.3)
+    assert not refused()
+    host.ok(ABORT)  # armed only: nothing was played, so nothing is owed
+    host.ok(ARM, arm(100))
+    host.ok(ARM, arm(50))
+    device.sleep(0.2)
+    assert host.state == LOADED
+    assert not refused()
+    host.ok(TRIG)
+    device.sleep(0.15)
+    assert host.state == DONE
+    assert not refused()
+
+
 CHECKS: tuple[Callable[[Device], None], ...] = (
     check_hello,
     check_idle,

@@ -35,6 +35,7 @@
 #define MAX_DUTY_PERMILLE 1000
 #endif
 #define MAX_ON_TICKS (MAX_ON_US * 1000UL / TICK_NS)
+#define LIMITS_DUTY (MAX_DUTY_PERMILLE < 1000)
 #if MAX_ON_US < 0 || MAX_ON_US > 4000000
 #error "MAX_ON_US must be 0 (no limit) .. 4000000"
 #endif

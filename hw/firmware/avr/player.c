@@ -17,6 +17,7 @@
 
 static struct program stored;
 static uint32_t stored_crc32;
+static uint16_t stored_ms;
 
 static volatile uint8_t state;
 static volatile uint16_t begun;
@@ -24,10 +25,23 @@ static volatile uint16_t plays;
 static volatile uint8_t missed;
 static volatile uint16_t lease_ms;
 
+/* A play that is cut short owes the closed chips that its limit counted on: none is armed before it would have ended.
+ * Written when it is armed and left alone by a reset, since that cuts it short too; noise unless the two agree. */
+static volatile uint16_t owed_ms __attribute__((section(".noinit")));
+static volatile uint16_t owed_ms_inverted __attribute__((section(".noinit")));
+
 static uint16_t phase; /* fraction of a tick by which the ideal edge is ahead, plus a half for rounding */
 static uint16_t first_count; /* of the timer, for the lead */
 static const uint8_t *next_byte;
 static uint8_t next_mask;
+
+QUICK void owe(uint16_t ms)
+{
+    if (!LIMITS_DUTY)
+        return;
+    owed_ms = ms;
+    owed_ms_inverted = ~ms;
+}
 
 /* The one way to be closed, whatever happened. Interrupts are off. */
 QUICK void close_shutter(void)
@@ -46,6 +60,8 @@ QUICK void close_shutter(void)
 static void close_and_rest(void)
 {
     close_shutter();
+    if (LIMITS_DUTY && state == ARMED)
+        owe(0); /* nothing was played */
     state = stored.chips ? LOADED : IDLE;
 }
 
@@ -63,6 +79,7 @@ QUICK void preset_level(bool last)
 /* All is prepared while arming, so that a trigger is a few register writes away from the running timer. */
 static void prepare(void)
 {
+    owe(stored_ms);
     begun = 0;
     phase = 0x8000;
     next_byte = stored.bits;
@@ -100,6 +117,7 @@ ISR(TIMER1_COMPA_vect)
 
     if (begun == stored.chips) {
         close_shutter();
+        owe(0);
         state = DONE;
         plays++;
         return;
@@ -125,6 +143,8 @@ void player_init(void)
     PORTC &= ~_BV(BUSY_PIN);
     DDRC |= _BV(BUSY_PIN);
     EICRA = _BV(ISC01) | _BV(ISC00);
+    if (LIMITS_DUTY && owed_ms_inverted != (uint16_t)~owed_ms)
+        owe(0); /* power has been off */
     close_and_rest();
 }
 
@@ -139,6 +159,8 @@ uint8_t player_load(const struct program *program, uint16_t length)
         return error;
     memcpy(&stored, program, length);
     stored_crc32 = program_crc32(&stored);
+    if (LIMITS_DUTY)
+        stored_ms = program_ms(&stored);
     begun = 0;
     state = LOADED;
     return OK;
@@ -163,6 +185,8 @@ uint8_t player_arm(const uint8_t *payload, uint16_t length)
             error = BAD_LENGTH;
         else if (!lease)
             error = OUT_OF_RANGE;
+        else if (LIMITS_DUTY && state != ARMED && owed_ms)
+            error = DUTY_LIMIT;
         else {
             lease_ms = lease;
             if (state != ARMED)
@@ -208,6 +232,11 @@ void player_status(struct player_status *status)
 
 void player_tick(void)
 {
+    if (LIMITS_DUTY && state != ARMED)
+        ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { /* the last chip may end meanwhile */
+            if (owed_ms)
+                owe(owed_ms - 1);
+        }
     if (state != ARMED || --lease_ms)
         return;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {

@@ -19,6 +19,13 @@ uint16_t program_size(const struct program *program)
     return size_for(program->chips);
 }
 
+uint16_t program_ms(const struct program *program)
+{
+    uint32_t ticks = LEAD_TICKS + program->chips * (program->ticks + 1);
+
+    return ticks / (1000000 / TICK_NS) + 1;
+}
+
 #if MAX_ON_TICKS
 static bool opens_too_long(const struct program *program)
 {

@@ -21,6 +21,9 @@ uint8_t program_check(const struct program *program, uint16_t length);
 
 uint16_t program_size(const struct program *program);
 
+/* Milliseconds from a trigger to the end of the last chip, rounded up. */
+uint16_t program_ms(const struct program *program);
+
 /* CRC-32 of zlib over the payload. */
 uint32_t program_crc32(const struct program *program);
 

@@ -73,9 +73,12 @@ class Player:
         What plays.
     clock : Clock
         MicroPython's module `time`.
+    owed_us : int
+        Value of the attribute before a reset. With a limit of the open fraction, a play that is cut short owes the
+        closed chips the limit counted on: nothing is armed before it would have ended.
     """
 
-    def __init__(self, shutter: "Shutter", clock: "Clock") -> None:
+    def __init__(self, shutter: "Shutter", clock: "Clock", owed_us: int = 0) -> None:
         self.shutter = shutter
         self.clock = clock
         self.state = _IDLE
@@ -84,6 +87,7 @@ class Player:
         self.plays = 0
         self._stored = b""
         self._crc = 0
+        self.owed_us = owed_us
         self._lease_us = 0
         self._played_us = 0
         self._now = clock.ticks_us()
@@ -113,6 +117,8 @@ class Player:
         elapsed = self.clock.ticks_diff(now, self._now)
         self._now = now
         self._uptime_us = (self._uptime_us + elapsed) & 0xFFFFFFFF
+        if self.state != _ARMED:
+            self.owed_us = max(self.owed_us - elapsed, 0)
         if self.state == _ARMED:
             if self.shutter.begun():
                 self._begin()
@@ -136,7 +142,10 @@ class Player:
         self._played_us = 0
 
     def _close(self, state: int) -> None:
+        begun = self.state != _ARMED or self.shutter.begun()
         self.shutter.close()
+        if state == _DONE or not (begun or self.shutter.begun()):  # a trigger may have come in between
+            self.owed_us = 0
         self.state = state
 
     def _answer(self, line: bytes) -> bytes:
@@ -218,7 +227,11 @@ class Player:
         if not lease_ms:
             return _OUT_OF_RANGE
         if self.state != _ARMED:  # a new lease must not disturb a trigger that comes this very moment
+            if self.owed_us:
+                return _DUTY_LIMIT
             ticks, chips = self._timing()
+            if self.shutter.max_duty < 1000:
+                self.owed_us = (ticks * chips * self.shutter.tick_ns + self.shutter.lead_ns) // 1000 + 1
             self.shutter.arm(ticks, chips, self._stored[8:])
             self.state = _ARMED
         self._lease_us = 1000 * lease_ms

@@ -66,6 +66,45 @@ def test_limits_built_in_are_kept(limited):
         conformance.check_announced_limits(UnoDevice(uno, raw))
 
 
+@pytest.fixture(scope="module")
+def quarter(tmp_path_factory):
+    """Firmware for a light that may be on for a quarter of the time."""
+    require_simavr()
+    require_tool("avr-gcc", "avr-objcopy", "make")
+    return build(tmp_path_factory.mktemp("quarter"), duty_permille=250)
+
+
+def test_a_play_cut_short_owes_its_closed_time(quarter):
+    with EmulatedUno(quarter) as uno, RawPort(uno.port) as raw:
+        conformance.check_closed_time_is_owed(UnoDevice(uno, raw))
+
+
+@pytest.mark.parametrize("way_out", ["ABORT", "ABORT and LOAD", "reset", "reset and ABORT"])
+def test_the_open_fraction_stays_below_its_limit_however_plays_are_cut_short(quarter, way_out):
+    payloads = [program(20_000, "1" * open_chips + "0" * 3 * open_chips) for open_chips in (8, 7)]
+    with EmulatedUno(quarter) as uno, RawPort(uno.port) as raw:
+        host = Host(UnoDevice(uno, raw))
+        for play in range(6):
+            if play == 0 or way_out != "ABORT":
+                host.ok(LOAD, payloads[play % 2])
+            while (error := host.ask(ARM, arm(60000))[0]) == conformance.DUTY_LIMIT:
+                pass
+            assert error == OK
+            host.ok(TRIG)
+            while len(uno.edges()) != 2 * play + 2:  # no longer than it is open
+                time.sleep(0.001)
+            if way_out.startswith("reset"):
+                uno.hang()
+                host.device.sleep(0.1)
+                assert host.hello()["cause"] == 3
+            if "ABORT" in way_out:
+                host.ok(ABORT)
+        opened, closed = ([cycle for cycle, level in uno.edges() if level == is_open] for is_open in (1, 0))
+        lasted = [end - begin for begin, end in zip(opened, closed, strict=True)]
+        for play in range(1, 6):
+            assert sum(lasted[:play]) <= 0.25 * (opened[play] - opened[0])
+
+
 def test_limits_built_in_are_known_to_the_host_and_kept_without_it(limited):
     good = Program.from_bits("1" * 3 + "0" * 5, chip_ns=200_000)
     long, often = Program.from_bits("1" * 4 + "0" * 6, chip_ns=200_000), Program.from_bits("10101", chip_ns=200_000)

@@ -17,6 +17,7 @@ from emulators.conformance import (
     ABORT,
     ARM,
     CODE,
+    DUTY_LIMIT,
     FAULT,
     HELLO,
     LOAD,
@@ -90,6 +91,21 @@ def test_docs_cxp1(python, check):
 
 def test_announced_limits_are_kept(python):
     conformance.check_announced_limits(VirtualDevice(python, limits=", max_on_ticks=5000, max_duty=420"))
+
+
+def test_a_play_cut_short_owes_its_closed_time(python):
+    conformance.check_closed_time_is_owed(VirtualDevice(python, limits=", max_duty=420"))
+
+
+def test_a_trigger_in_the_moment_of_abort_is_a_play_and_owes_its_closed_time(python):
+    device = VirtualDevice(python, limits=", max_duty=420")
+    host = Host(device)
+    host.load()
+    host.ok(ARM, arm(60000))
+    # The shutter begins between the question whether it has begun and its closing.
+    python.run("answers = [False, False, True]\nshutter.begun = lambda: answers.pop(0)")
+    host.ok(ABORT)
+    assert host.ask(ARM, arm(60000)) == (DUTY_LIMIT, b"")
 
 
 def test_checksums(python):

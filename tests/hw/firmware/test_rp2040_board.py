@@ -172,6 +172,37 @@ def test_limits_of_the_shutter(tmp_path):
         controller.upload(Program.from_bits("110000", chip_ns=250_000), profile=DeviceProfile(name="own"))
 
 
+def test_a_play_cut_short_is_owed_after_a_reset_too(tmp_path):
+    """A register that only the loss of power clears holds the closed time; resets themselves are not emulated."""
+    scratch, program = 0x4005800C, Program.from_bits("1" + "0" * 49, chip_ns=400_000_000)
+    for name in ("cxp_text.py", "cxp.py", "pio_shutter.py", "main.py"):
+        text = (FIRMWARE / name).read_text(encoding="utf-8")
+        (tmp_path / name).write_text(text.replace("MAX_DUTY = 1000 ", "MAX_DUTY = 500 "), encoding="utf-8")
+    with Pico(tmp_path) as board:
+        with Controller.open(board.port) as controller:
+            assert board.ask("__getitem__", scratch) == 0
+            controller.upload(program, arm=True)
+            assert board.ask("__getitem__", scratch) == 20_001
+            controller.abort()
+            assert controller.status().state is State.LOADED
+            assert board.ask("__getitem__", scratch) == 0
+            controller.arm()
+            controller.trigger()
+            controller.abort()
+            with pytest.raises(DutyLimitError, match="cut short"):
+                controller.arm()
+        owed_ms = board.ask("__getitem__", scratch)
+    assert 0 < owed_ms <= 20_001
+    started = "import machine; machine.mem32[0x4005800C] = 1000\n"
+    (tmp_path / "main.py").write_text(started + (tmp_path / "main.py").read_text(encoding="utf-8"), encoding="utf-8")
+    with Pico(tmp_path) as board, Controller.open(board.port) as controller:
+        with pytest.raises(DutyLimitError, match="cut short"):
+            controller.upload(program, arm=True)
+        while board.ask("__getitem__", scratch):
+            controller.status()
+        controller.arm()
+
+
 def say(port: str, data: bytes) -> None:
     """Write beside the driver, which holds the port for itself."""
     door = os.open(port, os.O_WRONLY | os.O_NOCTTY)
