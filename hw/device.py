@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from importlib import resources
 from itertools import pairwise
@@ -88,6 +88,36 @@ class DeviceProfile:
             if least is not None and most is not None and least > most:
                 raise ValueError(f"{low} is {least} but {high} is {most}: the least must not exceed the most")
 
+    @classmethod
+    def from_dict(cls, table: Mapping[str, Any], *, source: str = "profile") -> DeviceProfile:
+        """Make a profile of the content of its file, the inverse of `to_dict`; `source` names it in messages.
+
+        Raises
+        ------
+        ValueError
+            If it has another schema, an unknown field, or a value out of range.
+        """
+        given = dict(table)
+        schema = given.pop("schema", None)
+        if schema != _SCHEMA:
+            raise ValueError(f'{source} has schema {str(schema)[:40]!r}: schema = "{_SCHEMA}" is needed')
+        known = {field.name for field in fields(cls)}
+        unknown = sorted(set(given) - known)
+        if unknown:
+            raise ValueError(f"{source} has unknown field {unknown[0][:40]!r}: known are {', '.join(sorted(known))}")
+        missing = [field.name for field in fields(cls) if field.default is MISSING and field.name not in given]
+        if missing:
+            raise ValueError(f"{source} has no {missing[0]}: every profile needs one")
+        try:
+            return cls(**given)
+        except (ValueError, OverflowError) as error:  # whole numbers that no float reaches
+            raise ValueError(f"{source}: {_one_line(error)}") from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Content of the profile's file: its schema, and the fields that are not left out."""
+        stated = {field.name: value for field in fields(self) if (value := getattr(self, field.name)) != field.default}
+        return {"schema": _SCHEMA, **stated}
+
     def check(self, program: Program) -> tuple[str, ...]:
         """List every limit that a program breaks, each in one plain sentence; empty when it can be played.
 
@@ -167,20 +197,7 @@ def parse_profile(text: str, *, source: str = "profile") -> DeviceProfile:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{source} is not TOML: {_one_line(error)}") from None
-    schema = table.pop("schema", None)
-    if schema != _SCHEMA:
-        raise ValueError(f'{source} has schema {str(schema)[:40]!r}: schema = "{_SCHEMA}" is needed')
-    known = {field.name for field in fields(DeviceProfile)}
-    unknown = sorted(set(table) - known)
-    if unknown:
-        raise ValueError(f"{source} has unknown field {unknown[0][:40]!r}: known are {', '.join(sorted(known))}")
-    missing = [field.name for field in fields(DeviceProfile) if field.default is MISSING and field.name not in table]
-    if missing:
-        raise ValueError(f"{source} has no {missing[0]}: every profile needs one")
-    try:
-        return DeviceProfile(**table)
-    except (ValueError, OverflowError) as error:  # whole numbers that no float reaches
-        raise ValueError(f"{source}: {_one_line(error)}") from None
+    return DeviceProfile.from_dict(table, source=source)
 
 
 def profile_names() -> tuple[str, ...]:

@@ -266,7 +266,7 @@ def optimize(
             raise ValueError("--figure: not valid with --frames, whose exposures are judged together")
 
         def task(stored: StoredMotion, path: Path | None, wish: SearchOptions = wish) -> Task:
-            source = {"trajectory": None if path is None else str(path), "linear_px": linear, "device": device}
+            source = {"trajectory": None if path is None else str(path), "linear_px": linear}
             try:
                 return task_of(wish, stored, how, camera=light, profile=profile, source=source)
             except ValueError as error:  # of a folder it stands in the table, and never reaches the command's end
@@ -293,7 +293,7 @@ def optimize(
 
             many = class_task(
                 wish, how, camera=light, profile=profile, folder=all_motions, kind=motion_class, length_px=length,
-                count=motions, device=device,
+                count=motions,
             )  # fmt: skip
             show: Callable[[], None] = optimize_class(many, run)
         elif each is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from cep.io.files import StoredCode
     from hw.device import DeviceProfile
     from hw.drivers.cxp import Controller
     from hw.program import Program
@@ -20,6 +21,7 @@ __all__ = [
     "named_port",
     "open_port",
     "program_figures",
+    "timed_program",
 ]
 
 Port = Annotated[
@@ -41,33 +43,51 @@ ClockPpm = Annotated[
     ),
 ]
 Device = Annotated[
-    str | None, typer.Option("--device", help="Check against this profile: a built-in name or a .toml file.")
+    str | None,
+    typer.Option(
+        "--device",
+        metavar="NAME|FILE",
+        help="Check against this profile: a built-in name or a .toml file. When omitted the one that the code was "
+        "searched for; generic has no limits.",
+    ),
 ]
 
 
+def timed_program(source: str, *, chip_ns: int | None) -> tuple[Program, StoredCode]:
+    """Return the program of a code, for whatever shutter, and what its file says of it.
+
+    Raises
+    ------
+    ValueError
+        If it is no code, or its chip time is out of range.
+    """
+    from cep.codes.sources import find_code
+    from hw.program import MAX_CHIP_NS, Program
+
+    stored = find_code(source, chip_ns=chip_ns)
+    code = stored.code
+    if code.chip_ns > MAX_CHIP_NS:
+        where = f"{source}: chip time" if chip_ns is None else "--chip-ns:"
+        raise ValueError(f"{where} must be below 2^63 ns, got {code.chip_ns:.6g}")
+    return Program.from_bits(code.bits, chip_ns=code.chip_ns), stored
+
+
 def load_program(source: str, *, chip_ns: int | None, device: str | None) -> tuple[Program, DeviceProfile | None]:
-    """Return the program of a code, and the profile of ``--device``.
+    """Return the program of a code, and the profile of ``--device`` or else the one that the code was searched for.
 
     Raises
     ------
     ValueError
         If the chip time is out of range, or the device cannot play the program: the line lists every limit it breaks.
     """
-    from cep.codes.sources import load_code
+    from cep.io.files import stored_device
     from hw.device import load_profile
-    from hw.program import MAX_CHIP_NS, Program
 
-    code = load_code(source, chip_ns=chip_ns)
-    if code.chip_ns > MAX_CHIP_NS:
-        where = f"{source}: chip time" if chip_ns is None else "--chip-ns:"
-        raise ValueError(f"{where} must be below 2^63 ns, got {code.chip_ns:.6g}")
-    program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
-    if device is None:
-        return program, None
-    profile = load_profile(device)
-    problems = profile.check(program)
-    if problems:
-        raise ValueError("the program cannot be played: " + "; ".join(problems))
+    program, stored = timed_program(source, chip_ns=chip_ns)
+    profile = stored_device(stored, source=source) if device is None else load_profile(device)
+    if profile is not None and (problems := profile.check(program)):
+        whose = f"; {source} was searched for {profile.name}, --device says which other shutter it is for"
+        raise ValueError(f"the program cannot be played: {'; '.join(problems)}{'' if device else whose}")
     return program, profile
 
 

@@ -9,7 +9,7 @@ import typer
 
 from cep.cli.console import FAILURE, complain, finish, table
 from cep.cli.options import ChipNs, CodeSource, Force, Json, Linear, TableFile, TrajectoryFile, load_motion, table_files
-from cep.cli.programs import ClockPpm, load_program, open_port, program_figures
+from cep.cli.programs import ClockPpm, open_port, program_figures, timed_program
 
 if TYPE_CHECKING:
     from hw.program import Program
@@ -60,12 +60,13 @@ def verify(
         raise ValueError(f"{unused[0]}: not valid with --port, only with --capture")
     if capture is not None and clock_ppm:
         raise ValueError("--clock-ppm: not valid with --capture, only with --port")
-    program, _ = load_program(code, chip_ns=chip_ns, device=None)
+    program, stored = timed_program(code, chip_ns=chip_ns)
     if port is not None:
         _held(program, port, clock_ppm=clock_ppm, as_json=as_json)
         return
     assert capture is not None
     from cep.codes.sources import code_file
+    from cep.io.files import stored_device
     from cep.io.outputs import claim
     from cep.workflows.playback import playback_files, read_playback
 
@@ -75,7 +76,7 @@ def verify(
     claim([*written, *table_files(tables)], force=force, inputs=read)
     found = read_playback(capture, program, signal=signal, trigger=trigger)
     if output is not None:
-        found.save(output, motion=motion, force=force)
+        found.save(output, motion=motion, device=stored_device(stored, source=code), force=force)
     result = {
         "file": capture, "signal": found.signal, **program_figures(program, None), **found.to_dict(), "files": written,
     }  # fmt: skip

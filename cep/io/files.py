@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from cep.io.images import read_photo
 from cep.io.outputs import new_files, write_bytes, write_text
 from cep.optics.code import ShutterCode
+from hw.device import DeviceProfile, load_profile
 from motdiff.crops import luminance
 from motdiff.io import inputs
 from motdiff.io.inputs import one_line, regular_file
@@ -36,6 +37,7 @@ __all__ = [
     "read_code",
     "read_json",
     "read_psf",
+    "stored_device",
     "write_code",
     "write_psf",
 ]
@@ -107,6 +109,29 @@ def read_code(path: Path | str) -> StoredCode:
     if (wrong := fault(document, load_schema("cep.io", "code"))) is not None or code is None:
         raise ValueError(f"{path}: {wrong}")
     return StoredCode(code, *(document.get(name) or {} for name in ("metrics", "problem", "certificate")))
+
+
+def stored_device(stored: StoredCode, *, source: str) -> DeviceProfile | None:
+    """Return the profile of the shutter that a code was searched for, as its file has it; None where it names none.
+
+    Parameters
+    ----------
+    stored : StoredCode
+    source : str
+        Its file, for messages.
+
+    Raises
+    ------
+    ValueError
+        If it is no profile, or the name of one that is not known.
+    """
+    device = stored.problem.get("device")
+    if device is None:
+        return None
+    try:
+        return load_profile(device) if isinstance(device, str) else DeviceProfile.from_dict(device, source="its device")
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}; --device NAME|FILE says which shutter it is for") from None
 
 
 def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:

@@ -57,6 +57,8 @@ class SearchProblem:
         How the shutter opens and closes along the scenarios; at once when omitted.
     chip_ns : int
         Duration of a chip, ns.
+    device : DeviceProfile, optional
+        Shutter whose limits are among the others, as of :meth:`along`; code files carry it.
 
     Raises
     ------
@@ -81,6 +83,7 @@ class SearchProblem:
     camera: Camera = field(default_factory=Camera)
     response: ShutterResponse | None = None
     chip_ns: int = 1_000_000
+    device: DeviceProfile | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.chip_ns, int) or self.chip_ns < 1:
@@ -172,7 +175,7 @@ class SearchProblem:
                 runs=options.get("runs", RunLimits()),
             )
             open_range = played.open_range
-            options |= {"runs": played.runs, "response": played.response}
+            options |= {"runs": played.runs, "response": played.response, "device": profile}
         paths = (motion if isinstance(motion, Trajectory) else motion.best for motion in motions)
         return cls(chips=chips, scenarios=tuple(Scenario(path) for path in paths), open_range=open_range, **options)
 

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import cep
-from cep.io.files import json_text, read_code, read_json
+from cep.io.files import StoredCode, json_text, read_code, read_json, stored_device
 from cep.io.outputs import claim_folder, new_folder
 from cep.studio.state import FieldError, path_fields
+from cep.workflows.catalogue import shutter_name
 from cep.workflows.motions import gyro_motion, stored_paths
 
 __all__ = ["EXTRACTED", "extract", "opened_document", "opened_gyro"]
@@ -21,6 +22,8 @@ EXTRACTED = ("trajectory.json", "code.json", "commands.sh")
 
 def opened_document(file: Path) -> dict[str, Any]:
     """Return what of a document the page takes over: ``paths`` of a motion, ``bits`` of a code, or a whole ``state``.
+
+    With the bits comes ``device``, the name of the shutter they were searched for, or a ``warning`` where it has none.
 
     Raises
     ------
@@ -38,8 +41,7 @@ def opened_document(file: Path) -> dict[str, Any]:
             described = [{"weight": weight, **_described(path)} for weight, path in paths]
             return {"paths": described, "path_error": error_px}
         if schema == "cep.code/1":
-            code = read_code(file).code
-            return {"bits": code.bits, "exposure": f"{code.duration_ns:d}ns"}
+            return _opened_code(read_code(file))
         if schema == "cep.studio/1":
             state = read_json(file, schema="cep.studio/1").get("state")
             if isinstance(state, dict):
@@ -95,6 +97,20 @@ def extract(file: Path, folder: Path, *, force: bool = False) -> list[Path]:
             (made / name).write_text(json_text(part), encoding="utf-8")
         (made / EXTRACTED[2]).write_text("".join(f"{line}\n" for line in commands), encoding="utf-8")
     return [folder / name for name in EXTRACTED]
+
+
+def _opened_code(stored: StoredCode) -> dict[str, Any]:
+    found = {"bits": stored.code.bits, "exposure": f"{stored.code.duration_ns:d}ns"}
+    profile = stored_device(stored, source="the file")
+    if profile is None:
+        return found
+    name = shutter_name(profile)
+    if name is not None:
+        return {**found, "device": name}
+    warning = (
+        f"its code was searched for the shutter {profile.name}, whose limits the studio cannot check: use cep export"
+    )
+    return {**found, "device": "", "warning": warning}
 
 
 def _described(path: cep.Trajectory) -> dict[str, Any]:

@@ -157,6 +157,7 @@ class Views:
         along = None if bench.problem.on_circle else path
         proven = cep.certify(code, along)
         metrics = bench.figures(code).metrics
+        about = {} if setting.profile is None else {"device": setting.profile.to_dict()}
         search = state.get("search")
         steps, seed = (search.get("steps"), search.get("seed", 0)) if isinstance(search, dict) else (None, 0)
         samples = {name: getattr(path, name) for name in "txy"}
@@ -171,7 +172,7 @@ class Views:
                     "schema": "cep.trajectory/1", "units": "px", "direction": path.direction, **samples,
                     "weight": 1.0, "alternatives": [], "source": source,
                 },
-                "code": code_document(StoredCode(code, metrics.to_dict(), {}, proven.to_dict())),
+                "code": code_document(StoredCode(code, metrics.to_dict(), about, proven.to_dict())),
                 "commands": setting.commands(
                     steps=steps if isinstance(steps, int) else None, seed=seed if isinstance(seed, int) else 0
                 ),

@@ -144,7 +144,8 @@ class CalibrationSet:
         with new_folder(folder, names, force=force) as made:
             write_text(made / SET_FILE, json_text({"schema": SET_SCHEMA, **self.to_dict(folder)}))
             for i, code in enumerate(self.codes, 1):
-                about = {"calibration_set": [one.bits for one in self.codes], "photo": i}
+                device = None if self.device is None else self.device.to_dict()
+                about = {"calibration_set": [one.bits for one in self.codes], "photo": i, "device": device}
                 write_code(made / f"code_{i}.json", StoredCode(code, problem=about))
                 program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
                 write_text(

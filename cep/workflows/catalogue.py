@@ -10,7 +10,7 @@ import numpy as np
 from cep.codes.published import for_chips, names
 from cep.optics.camera import Camera, camera_names
 from cep.optics.code import ShutterCode
-from hw.device import load_profile, profile_names
+from hw.device import DeviceProfile, load_profile, profile_names
 from hw.export import EXPORTERS
 from hw.port import list_ports
 from motdiff.motions import boracchi_foi, quadratic
@@ -26,6 +26,7 @@ __all__ = [
     "ports",
     "published_chips",
     "published_codes",
+    "shutter_name",
 ]
 
 _THIN_PX = 0.05  # of the walk's 2000 samples
@@ -56,6 +57,11 @@ def cameras() -> tuple[tuple[Choice, Camera], ...]:
 def devices() -> tuple[Choice, ...]:
     """List the shutters with a profile."""
     return tuple(Choice(name, load_profile(name).description) for name in profile_names())
+
+
+def shutter_name(profile: DeviceProfile) -> str | None:
+    """Return the name of a shutter of :func:`devices` by its profile, None for one's own."""
+    return next((name for name in profile_names() if load_profile(name) == profile), None)
 
 
 def formats() -> tuple[Choice, ...]:

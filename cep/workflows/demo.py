@@ -68,12 +68,13 @@ def write_demo(folder: Path | str, chain: Chain, *, options: str = "", force: bo
         if chain.code is not None:
             metrics = chain.problem.measure(chain.code).to_dict()
             certificate = dict(chain.certificates)["coded"].to_dict()
-            described = {"objective": "mse", "chips": chain.code.chips}
+            device = None if chain.device is None else chain.device.to_dict()
+            described = {"objective": "mse", "chips": chain.code.chips, "device": device}
             write_code(made / "code.json", StoredCode(chain.code, metrics, described, certificate))
             program = Program.from_bits(chain.code.bits, chip_ns=chain.code.chip_ns)
             for name, file_format in _PROGRAMS.items():
                 with suppress(ValueError):  # the sketch plays chips of 50 us to 32 ms only
-                    write_text(made / name, export_program(program, file_format))
+                    write_text(made / name, export_program(program, file_format, device=chain.device))
             write_image(made / "coded.png", chain.advised_shot.photo, bits=16)
         report = demo_report(chain, options=options, guide=_guide(target))
         shown = [one for section in report.sections for one in (*section.pictures, *section.gallery) if one.name]

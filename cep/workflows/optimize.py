@@ -500,6 +500,7 @@ def described_search(problem: SearchProblem, how: Search) -> dict[str, Any]:
         "direction": problem.direction,
         "rule": problem.rule,
         "camera": problem.camera.to_dict(),
+        "device": None if problem.device is None else problem.device.to_dict(),
         "method": how.method,
         "seed": how.seed,
     }

@@ -249,7 +249,6 @@ def class_task(
     kind: str | None = None,
     length_px: float | None = None,
     count: int | None = None,
-    device: str | None = None,
 ) -> ClassTask:
     """Make the search of the options for the motions of a folder, or for a class of drawn ones.
 
@@ -263,8 +262,6 @@ def class_task(
         Instead: :data:`WALKS` or a gyro recording.
     length_px, count
         Of the drawn motions; 60 px and :data:`DRAWN` when omitted.
-    device : str, optional
-        As it was given, for the code file.
 
     Raises
     ------
@@ -291,8 +288,7 @@ def class_task(
     problem = replace(problem, scenarios=class_scenarios(motions))
     check_class(problem)
     described = {
-        "folder": None if folder is None else str(folder), "class": drawn, "device": device,
-        **described_search(problem, how),
+        "folder": None if folder is None else str(folder), "class": drawn, **described_search(problem, how),
     }  # fmt: skip
     return ClassTask(problem, motions, others, described)
 

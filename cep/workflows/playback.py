@@ -14,6 +14,7 @@ from cep.io.files import PSF_SUFFIXES, StoredCode, write_code, write_psf
 from cep.io.outputs import new_folder
 from cep.optics.as_played import achieved_code, achieved_psf
 from cep.optics.code import ShutterCode
+from hw.device import DeviceProfile
 from hw.program import Program
 from hw.recordings.capture import read_capture
 from hw.recordings.playback import Verification, align
@@ -69,8 +70,17 @@ class Playback:
         """Fields for JSON, as ``cep hw verify --json`` prints them."""
         return {"played": not self.wrong, "plays": [_figures(play) for play in self.plays]}
 
-    def save(self, path: Path | str, *, motion: Trajectory | None = None, force: bool = False) -> Sequence[Path]:
+    def save(
+        self,
+        path: Path | str,
+        *,
+        motion: Trajectory | None = None,
+        device: DeviceProfile | None = None,
+        force: bool = False,
+    ) -> Sequence[Path]:
         """Write the first play's code, and along a motion its PSF: all of :func:`playback_files` or none.
+
+        The code's file carries the profile of the shutter, where one is given.
 
         Raises
         ------
@@ -81,7 +91,8 @@ class Playback:
         output, play = Path(path), self.plays[0]
         files = playback_files(output, with_psf=motion is not None)
         with new_folder(output.parent, [file.name for file in files], force=force) as made:
-            write_code(made / output.name, StoredCode(self.code, problem={"played": play.verdict}))
+            about = {"played": play.verdict, "device": None if device is None else device.to_dict()}
+            write_code(made / output.name, StoredCode(self.code, problem=about))
             if motion is not None:
                 size = max(PSF_PX, 2 * motion.frame_size())  # a slow clock goes on beyond the motion that was asked for
                 write_psf(made, self.psf(motion, size=size), stem=_psf_stem(output))

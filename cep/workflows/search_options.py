@@ -87,6 +87,7 @@ def problem_of(
         camera=camera,
         response=played.response,
         chip_ns=wish.chip_ns,
+        device=profile,
     )
 
 
@@ -207,7 +208,7 @@ def task_of(
         The options.
     stored : StoredMotion
     source : mapping
-        ``trajectory``, ``linear_px`` and ``device`` as they were given, for the code file.
+        ``trajectory`` and ``linear_px`` as they were given, for the code file.
 
     Raises
     ------

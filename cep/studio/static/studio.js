@@ -571,7 +571,8 @@ async function openFile(file) {
   try {
     const found = await ask("/api/upload/document", { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: file });
     if (found.state) change({ ...structuredClone(DEFAULTS), ...found.state });
-    if (found.bits) change({ bits: found.bits, exposure: found.exposure, search: null });
+    if (found.bits) change({ bits: found.bits, exposure: found.exposure, device: found.device ?? state.device, search: null });
+    if (found.warning) complain(new Refused("open_file", found.warning), ["file"]);
     if (found.paths) takePaths(found);
   } catch (error) { complain(error, ["file"]); }
 }

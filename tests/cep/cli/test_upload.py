@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from emulators.cxp_controller import ARMED, LOADED, CxpController
 
-from cep.io.files import read_code
+from cep.io.files import StoredCode, read_code, write_code
+from cep.optics.code import ShutterCode
+from hw.device import DeviceProfile
 
 if not hasattr(signal, "SIGALRM"):
     pytest.skip("no pseudo-terminals on this system", allow_module_level=True)
@@ -48,6 +50,80 @@ def test_a_devices_limits_are_checked_before_the_port_is_opened(cep, workplace):
     line = cep.refuses("upload", "1010", "--port", "/dev/nothing-there", "--device", "slow.toml")
     assert "slow" in line
     assert "5 ms" in line
+
+
+@pytest.fixture
+def strict(workplace):
+    """A code that was searched for a light that may be on for 2 ms and 3 parts of 10; its profile is gone."""
+    profile = DeviceProfile(name="strict", max_on_ns=2_000_000, max_duty=0.3, max_chip_ns=5_000_000)
+    about = {"device": profile.to_dict()}
+    write_code("strict.json", StoredCode(ShutterCode("1100000000", 1_000_000), problem=about))
+
+
+HARMFUL = ["--chip-ns", "4000000"]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("export", "--format", "arduino", "-o", "out"),
+        ("export", "--format", "csv", "-o", "out"),
+        ("upload", "--port", "/dev/nothing-there", "--arm"),
+        ("upload", "--port", "/dev/nothing-there", "--driver", "pulse-pal"),
+        ("hw", "load", "--port", "/dev/nothing-there"),
+    ],
+    ids=lambda command: " ".join(command[:3]),
+)
+def test_the_limits_of_the_shutter_a_code_was_searched_for_are_kept(cep, workplace, strict, command):
+    words = list(command)
+    at = 1 + (words[0] == "hw")
+    line = cep.refuses(*words[:at], "strict.json", *HARMFUL, *words[at:])
+    assert "strict: longest opening is 8 ms; at most 2 ms" in line
+    assert "--device" in line
+    assert line.count("\n") == 1
+    assert not Path("out").exists()
+
+
+def test_another_shutter_is_named_by_an_option(cep, workplace, strict, controller):
+    found = cep.succeeds("export", "strict.json", "--format", "arduino", "-o", "sketch.ino")
+    assert found["checks"]["device"] == "strict"
+    assert cep.succeeds("upload", "strict.json", "--port", controller.port)["checks"]["device"] == "strict"
+    generic = cep.succeeds("upload", "strict.json", *HARMFUL, "--port", controller.port, "--device", "generic")
+    assert generic["checks"]["device"] == "generic"
+    assert cep.succeeds("hw", "verify", "strict.json", *HARMFUL, "--port", controller.port)["read_back"]
+
+
+def test_the_shutter_travels_with_a_code_through_a_search_and_a_recording(cep, workplace):
+    Path("strict.toml").write_text('schema = "hw.device/1"\nname = "strict"\nmax_on_ns = 2000000\nclosed_level = 1\n')
+    search = ("--linear", "8", "--chips", "8", "--open", "3", "--method", "exact", "--device", "strict.toml")
+    cep.succeeds("optimize", *search, "-o", "searched.json")
+    Path("strict.toml").unlink()
+    cep.succeeds("export", "searched.json", "--format", "vcd", "-o", "played.vcd")
+    cep.succeeds("hw", "verify", "searched.json", "--capture", "played.vcd", "-o", "played.json")
+    for file in ("searched.json", "played.json"):
+        assert "strict" in cep.refuses("export", file, *HARMFUL, "--format", "c", "-o", "out.h")
+    cep.succeeds("export", "searched.json", "--format", "arduino", "-o", "out.ino")
+    assert "#define CLOSED_LEVEL 1" in Path("out.ino").read_text()
+
+
+@pytest.mark.parametrize(
+    ("device", "words"),
+    [
+        ("led-strobe", "longest opening is 80 ms; at most 33 ms"),
+        ("gone.toml", "--device NAME|FILE"),
+        ({"schema": "hw.device/1"}, "--device NAME|FILE"),
+        ({"schema": "hw.device/1", "name": "x", "max_on_ns": "2 ms"}, "max_on_ns"),
+        (17, "device"),
+    ],
+)
+def test_a_shutter_in_a_code_file_that_is_a_name_or_no_profile(cep, workplace, device, words):
+    document = {"schema": "cep.code/1", "bits": "1100", "chip_ns": 40_000_000, "problem": {"device": device}}
+    Path("odd.json").write_text(json.dumps(document))
+    line = cep.refuses("export", "odd.json", "--format", "csv", "-o", "out.csv")
+    assert words in line
+    assert "odd.json" in line
+    assert not Path("out.csv").exists()
+    assert cep.refuses("audit", "odd.json") if device == 17 else cep.succeeds("audit", "odd.json")
 
 
 def test_a_code_is_played_at_once(cep, workplace, controller):

@@ -169,6 +169,20 @@ def test_a_document_is_opened_by_what_it_is(client, setting):
     assert "cep-studio" not in wrong.text
 
 
+def test_a_code_is_opened_with_the_shutter_it_was_searched_for(client, setting):
+    saved = posted(client, "save", setting={**setting, "device": "led-strobe"}, state={})["code"]
+    assert saved["problem"]["device"]["name"] == "led-strobe"
+    found = client.post("/api/upload/document", content=json.dumps(saved).encode()).json()
+    assert (found["device"], "warning" in found) == ("led-strobe", False)
+    saved["problem"]["device"]["max_on_ns"] = 2_000_000  # one's own, which the page cannot name
+    found = client.post("/api/upload/document", content=json.dumps(saved).encode()).json()
+    assert found["device"] == ""
+    assert "led-strobe" in found["warning"]
+    del saved["problem"]["device"]["name"]
+    wrong = client.post("/api/upload/document", content=json.dumps(saved).encode())
+    assert (wrong.status_code, wrong.json()["error"]["field"]) == (422, "open_file")
+
+
 def test_a_gyroscope_gives_a_motion_of_known_direction(client):
     rows = "\n".join(f"{i * 1e-3:.4f},0,{0.2:.3f},0" for i in range(101))
     found = client.post(
