@@ -14,9 +14,11 @@ from cep.cli.programs import (
     Device,
     LeaseMs,
     Port,
+    checked_profile,
     load_program,
     named_port,
     program_figures,
+    timed_program,
 )
 
 __all__ = ["export", "upload"]
@@ -43,6 +45,9 @@ def export(
 ) -> None:
     """Write a code as a timed shutter program, and read it back to prove the edges.
 
+    Chips are rounded to the format's ticks, as 0.5 us of an Uno, where that changes them by half a percent at most; a
+    warning says so. The program is checked against the shutter that the code was searched for, or --device.
+
     csv, json, vcd: its edges, for scripts and logic analysers. c: a header for firmware of your own. arduino, rp2: a
     whole program for an Uno, or for a Pico with MicroPython, as its main.py. pulsepal, scpi: settings of a Pulse Pal or
     a waveform generator. camera, dmd: a recipe for a multi-exposure camera or a micromirror array.
@@ -51,11 +56,14 @@ def export(
     """
     from cep.codes.sources import code_file
     from cep.io.outputs import claim, write_text
+    from cep.workflows.shutter import on_ticks
     from hw.drivers.report import Trust
     from hw.export import export_program, file_name, find_exporter
 
-    find_exporter(file_format)
-    program, profile = load_program(code, chip_ns=chip_ns, device=device)
+    tick_ns = find_exporter(file_format).tick_ns
+    program, stored = timed_program(code, chip_ns=chip_ns)
+    program, warnings = on_ticks(program, tick_ns)
+    profile = checked_profile(program, stored, source=code, device=device)
     file = code_file(code)
     target = output or Path(file_name("code" if file is None else file.stem, file_format))
     claim([target], force=force, inputs=[] if file is None else [file])
@@ -65,6 +73,7 @@ def export(
         "format": file_format,
         **program_figures(program, profile),
         "trust": Trust.C.value,
+        "warnings": [f"{target}: {warning}" for warning in warnings],
         "seed": seed,
     }
     finish(result, as_json=as_json, show=lambda console: console.print(

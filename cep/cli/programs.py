@@ -17,6 +17,7 @@ __all__ = [
     "Device",
     "LeaseMs",
     "Port",
+    "checked_profile",
     "load_program",
     "named_port",
     "open_port",
@@ -80,15 +81,20 @@ def load_program(source: str, *, chip_ns: int | None, device: str | None) -> tup
     ValueError
         If the chip time is out of range, or the device cannot play the program: the line lists every limit it breaks.
     """
+    program, stored = timed_program(source, chip_ns=chip_ns)
+    return program, checked_profile(program, stored, source=source, device=device)
+
+
+def checked_profile(program: Program, stored: StoredCode, *, source: str, device: str | None) -> DeviceProfile | None:
+    """Return the profile that :func:`load_program` returns with a program, checked as there."""
     from cep.io.files import stored_device
     from hw.device import load_profile
 
-    program, stored = timed_program(source, chip_ns=chip_ns)
     profile = stored_device(stored, source=source) if device is None else load_profile(device)
     if profile is not None and (problems := profile.check(program)):
         whose = f"; {source} was searched for {profile.name}, --device says which other shutter it is for"
         raise ValueError(f"the program cannot be played: {'; '.join(problems)}{'' if device else whose}")
-    return program, profile
+    return profile
 
 
 def open_port(port: str) -> Controller:

@@ -143,12 +143,12 @@ class Views:
         return _plain({"pins": rows})
 
     def exported(self, setting: Setting, file_format: object) -> dict[str, Any]:
-        """Return the code as a timed program: the name of the file and its text."""
+        """Return the code as a timed program: the name of the file, its text, and in what it differs from the code."""
         try:
-            name, text = export_code(setting.code(), str(file_format)[:40], device=setting.profile)
+            made = export_code(setting.code(), str(file_format)[:40], device=setting.profile)
         except ValueError as error:
             raise FieldError("format", str(error)) from None
-        return {"name": name, "text": text}
+        return {"name": made.name, "text": made.text, "warnings": made.warnings}
 
     def saved(self, setting: Setting, state: Mapping[str, Any]) -> dict[str, Any]:
         """Return everything as one document: the page's state, motion, code with its certificate, and the commands."""

@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -207,13 +207,11 @@ def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
 
 def _play(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
-    from cep.workflows.shutter import play_emulated, shutter_profile
+    from cep.workflows.shutter import on_ticks, play_emulated, shutter_profile
 
     setting = read_setting(order["setting"])
-    code, port, notes = setting.code(), order["port"], []
-    if port == "emulated" and not setting.device and code.chip_ns % (tick_ns := shutter_profile(_UNO).tick_ns):
-        meant_ns, code = code.chip_ns, replace(code, chip_ns=max(1, round(code.chip_ns / tick_ns)) * tick_ns)
-        notes.append(f"its chips last {code.chip_ns} ns instead of {meant_ns} ns: whole ticks of {tick_ns} ns")
+    port = order["port"]
+    code, notes = on_ticks(setting.code(), shutter_profile(_UNO).tick_ns if port == "emulated" else 1)
     try:
         if port == "emulated":
             tell(0.1, "starting the emulated controller")

@@ -5,18 +5,33 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Self
+from typing import Self, TypeVar
 
 from cep.optics.code import ShutterCode
 from hw.device import DeviceProfile, load_profile
 from hw.drivers.cxp import Controller
 from hw.drivers.report import UploadReport
 from hw.drivers.write_only import WriteOnlyDevice
-from hw.export import export_program, file_name
+from hw.export import export_program, file_name, find_exporter
 from hw.program import Program
 
-__all__ = ["DRIVERS", "EmulatedPlay", "Shutter", "export_code", "open_shutter", "play_emulated", "shutter_profile"]
+__all__ = [
+    "DRIVERS",
+    "MOST_ROUNDING",
+    "EmulatedPlay",
+    "ExportedCode",
+    "Shutter",
+    "export_code",
+    "on_ticks",
+    "open_shutter",
+    "play_emulated",
+    "shutter_profile",
+]
 
+MOST_ROUNDING = 0.005
+"""Share of a chip by which it may be rounded to a device's ticks: with that 52 chips end a quarter of a chip off."""
+
+Timed = TypeVar("Timed", ShutterCode, Program)
 _LAST_EDGE_S = 2.0  # an emulated clock may lag behind
 
 DRIVERS = ("cxp", "pulse-pal", "scpi")
@@ -138,8 +153,45 @@ def open_shutter(port: str, *, driver: str = "cxp") -> Shutter:
     return Shutter(ScpiAwg.open(port))
 
 
-def export_code(code: ShutterCode, file_format: str, *, device: DeviceProfile | str | None = None) -> tuple[str, str]:
-    """Write a code as a timed program, read back to prove its edges: the name of the file, and its text.
+def on_ticks(code: Timed, tick_ns: int) -> tuple[Timed, tuple[str, ...]]:
+    """Return a code or program with chips of whole ticks, the nearest, and a warning where they were of another time.
+
+    One that would last more than :data:`MOST_ROUNDING` longer or shorter is left as it is.
+
+    Examples
+    --------
+    >>> on_ticks(ShutterCode("101", 641_026), 500)[0].chip_ns, on_ticks(ShutterCode("101", 641_026), 50_000)[0].chip_ns
+    (641000, 641026)
+    """
+    chip_ns = max(1, round(code.chip_ns / tick_ns)) * tick_ns
+    if not 0 < abs(chip_ns - code.chip_ns) <= MOST_ROUNDING * code.chip_ns:
+        return code, ()
+    warning = f"its chips last {chip_ns} ns instead of {code.chip_ns} ns: whole ticks of {tick_ns} ns"
+    return replace(code, chip_ns=chip_ns), (warning,)
+
+
+@dataclass(frozen=True)
+class ExportedCode:
+    """A code as a timed program in a file.
+
+    Attributes
+    ----------
+    name, text : str
+        Of the file.
+    program : Program
+        That the text was read back to.
+    warnings : tuple of str
+        In what it differs from the code, one sentence each.
+    """
+
+    name: str
+    text: str
+    program: Program
+    warnings: tuple[str, ...]
+
+
+def export_code(code: ShutterCode, file_format: str, *, device: DeviceProfile | str | None = None) -> ExportedCode:
+    """Write a code as a timed program, its chips in the ticks of the format, and read it back to prove its edges.
 
     Raises
     ------
@@ -148,15 +200,17 @@ def export_code(code: ShutterCode, file_format: str, *, device: DeviceProfile | 
 
     Examples
     --------
-    >>> name, text = export_code(ShutterCode("101", 1000), "csv")
-    >>> name, text.splitlines()[-1]
+    >>> made = export_code(ShutterCode("101", 1000), "csv")
+    >>> made.name, made.text.splitlines()[-1]
     ('code.csv', '3.000,0')
     """
     profile = load_profile(device) if isinstance(device, str) else device
-    program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
+    tick_ns = find_exporter(file_format).tick_ns
+    program, warnings = on_ticks(Program.from_bits(code.bits, chip_ns=code.chip_ns), tick_ns)
     if profile is not None and (problems := profile.check(program)):
         raise ValueError("device: the code cannot be played: " + "; ".join(problems))
-    return file_name("code", file_format), export_program(program, file_format, device=profile)
+    text = export_program(program, file_format, device=profile)
+    return ExportedCode(file_name("code", file_format), text, program, warnings)
 
 
 def shutter_profile(name: str) -> DeviceProfile:

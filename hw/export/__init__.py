@@ -36,6 +36,10 @@ class Exporter(Protocol):
     def summary(self) -> str:
         """Description of the file, in a few words."""
 
+    @property
+    def tick_ns(self) -> int:
+        """Unit of the chip times that the format can represent, ns."""
+
     def export(self, program: Program, device: DeviceProfile = ..., /) -> str:
         """Write the program as text; ValueError when the format cannot represent it."""
 

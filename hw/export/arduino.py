@@ -9,12 +9,12 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, only, packed_bytes, unaltered, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary"]
+__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
 
 suffix = ".ino"
 summary = "sketch for an Arduino Uno or Nano that plays the code on D9 at a trigger on D2"
+tick_ns = 500
 
-_TICK_NS = 500
 _LEAST_TICKS = 100
 _MOST_TICKS = 65_535
 _MOST_CHIPS = 65_535
@@ -150,12 +150,12 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
     ValueError
         If the chip is no whole number of 0.5 us ticks, outside 50 us .. 32.7675 ms, or if there are too many chips.
     """
-    ticks, rest = divmod(program.chip_ns, _TICK_NS)
+    ticks, rest = divmod(program.chip_ns, tick_ns)
     if rest or not _LEAST_TICKS <= ticks <= _MOST_TICKS:
-        near = min(max(ticks, _LEAST_TICKS), _MOST_TICKS) * _TICK_NS
+        near = min(max(ticks, _LEAST_TICKS), _MOST_TICKS) * tick_ns
         raise ValueError(
-            f"chip of {program.chip_ns} ns cannot be played by the sketch: it must be a multiple of {_TICK_NS} ns in "
-            f"{_LEAST_TICKS * _TICK_NS}..{_MOST_TICKS * _TICK_NS} ns; {near} ns would do"
+            f"chip of {program.chip_ns} ns cannot be played by the sketch: it must be a multiple of {tick_ns} ns in "
+            f"{_LEAST_TICKS * tick_ns}..{_MOST_TICKS * tick_ns} ns; {near} ns would do"
         )
     if program.chips > _MOST_CHIPS:
         raise ValueError(f"code of {program.chips} chips is too long for the sketch: at most {_MOST_CHIPS}")
@@ -185,6 +185,6 @@ def parse_back(text: str, /) -> Program:
     closed = int(only(_CLOSED, text, "CLOSED_LEVEL", source=source))
     crc = only(_CRC, text, "CRC32 comment", source=source)
     packed = packed_bytes(only(_ARRAY, text, "code array", source=source), what=f"{source} code")
-    program = Program.from_bytes(packed, chips=chips, chip_ns=ticks * _TICK_NS)
+    program = Program.from_bytes(packed, chips=chips, chip_ns=ticks * tick_ns)
     device = DeviceProfile(name="generic", closed_level=closed)
     return unaltered(verified(program, crc, source=source), text, export(program, device), source=source)

@@ -8,10 +8,11 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, only, packed_bytes, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary"]
+__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
 
 suffix = ".h"
 summary = "C99 header with the code as bytes, for firmware of one's own"
+tick_ns = 1
 
 _BYTES_PER_LINE = 12
 _CHIPS = re.compile(r"^#define SHUTTER_CODE_CHIPS (\S+)u$", re.MULTILINE)

@@ -10,10 +10,11 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, toml_table, unaltered, verified, whole
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary"]
+__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
 
 suffix = ".camera.toml"
 summary = "recipe for multi-exposure cameras: number, widths and gaps of the trigger pulses"
+tick_ns = 1
 
 _FORMAT = "hw.camera/1"
 _MOST_PULSES = 4095

@@ -8,10 +8,11 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary"]
+__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
 
 suffix = ".csv"
 summary = "edges as time_us,level rows"
+tick_ns = 1
 
 _COLUMNS = "time_us,level"
 _HEADER = ("format", "chip_ns", "chips", "code_crc32")

@@ -8,10 +8,11 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, only, unaltered, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary"]
+__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
 
 suffix = ".dmd.csv"
 summary = "pattern list of a micromirror device: exposure and dark time in us per opening"
+tick_ns = 1000
 
 _COLUMNS = "exposure_us,dark_us"
 _LINE = re.compile(r"([0-9]{1,19}),([0-9]{1,19})")
@@ -30,7 +31,7 @@ def export(program: Program, _device: DeviceProfile = GENERIC, /) -> str:
     ValueError
         If the chip is no whole number of microseconds, the unit of these devices.
     """
-    if program.chip_ns % 1000:
+    if program.chip_ns % tick_ns:
         near = max(program.chip_ns // 1000, 1) * 1000
         raise ValueError(
             f"chip of {program.chip_ns} ns cannot be written for a DMD: it must be a multiple of 1000 ns; {near} ns "

@@ -9,10 +9,11 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary"]
+__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
 
 suffix = ".json"
 summary = "code, timing, runs and edges for one's own scripts"
+tick_ns = 1
 
 _SCHEMA = "hw.program/1"
 

@@ -8,7 +8,17 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, toml_table, unaltered, verified, whole
 from hw.program import Program
 
-__all__ = ["CYCLE_NS", "MAX_PULSES", "PulseTrain", "export", "parse_back", "pulse_train", "suffix", "summary"]
+__all__ = [
+    "CYCLE_NS",
+    "MAX_PULSES",
+    "PulseTrain",
+    "export",
+    "parse_back",
+    "pulse_train",
+    "suffix",
+    "summary",
+    "tick_ns",
+]
 
 suffix = ".pulsepal.toml"
 summary = "custom train of a Pulse Pal v2, in its 50 us cycles"
@@ -17,6 +27,8 @@ CYCLE_NS = 50_000
 """Period of the Pulse Pal's timer in ns: every time is a whole number of these."""
 MAX_PULSES = 5000
 """Pulses a custom train holds; the firmware itself does not check."""
+
+tick_ns = CYCLE_NS
 
 _FORMAT = "hw.pulsepal/1"
 _LEAST_CYCLES = 2  # documented: no phase below 100 us

@@ -9,12 +9,12 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, only, unaltered, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary"]
+__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
 
 suffix = ".py"
 summary = "MicroPython script for an RP2040 that plays the code on GP15 at a trigger on GP14"
+tick_ns = 8
 
-_CYCLE_NS = 8
 _LEAST_CYCLES = 125
 _MOST_CYCLES = 2**32 + 2  # the state machine counts cycles - 3 in 32 bits
 _MOST_CHIPS = 223
@@ -99,12 +99,12 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
     ValueError
         If the chip is no whole number of 8 ns or below 1 us, or if the code does not fit the state machine's queue.
     """
-    cycles, rest = divmod(program.chip_ns, _CYCLE_NS)
+    cycles, rest = divmod(program.chip_ns, tick_ns)
     if rest or not _LEAST_CYCLES <= cycles <= _MOST_CYCLES:
-        near = min(max(cycles, _LEAST_CYCLES), _MOST_CYCLES) * _CYCLE_NS
+        near = min(max(cycles, _LEAST_CYCLES), _MOST_CYCLES) * tick_ns
         raise ValueError(
-            f"chip of {program.chip_ns} ns cannot be played by the rp2 script: it must be a multiple of {_CYCLE_NS} ns "
-            f"in {_LEAST_CYCLES * _CYCLE_NS}..{_MOST_CYCLES * _CYCLE_NS} ns; {near} ns would do"
+            f"chip of {program.chip_ns} ns cannot be played by the rp2 script: it must be a multiple of {tick_ns} ns "
+            f"in {_LEAST_CYCLES * tick_ns}..{_MOST_CYCLES * tick_ns} ns; {near} ns would do"
         )
     if program.chips > _MOST_CHIPS:
         raise ValueError(
@@ -149,6 +149,6 @@ def parse_back(text: str, /) -> Program:
     if len(levels) <= chips:
         raise ValueError(f"{source} WORDS hold {len(levels)} levels: more than the {chips} chips are needed")
     bits = "".join("0" if level == closed else "1" for level in levels[:chips])
-    program = verified(Program(bits, cycles * _CYCLE_NS), crc, source=source)
+    program = verified(Program(bits, cycles * tick_ns), crc, source=source)
     device = DeviceProfile(name="generic", closed_level=int(closed))
     return unaltered(program, text, export(program, device), source=source)

@@ -8,10 +8,11 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, only, unaltered, verified
 from hw.program import Program
 
-__all__ = ["WAVEFORM", "commands", "export", "parse_back", "sample_rate", "samples", "suffix", "summary"]
+__all__ = ["WAVEFORM", "commands", "export", "parse_back", "sample_rate", "samples", "suffix", "summary", "tick_ns"]
 
 suffix = ".scpi"
 summary = "SCPI commands for a 33500-class waveform generator: triggered burst of one cycle"
+tick_ns = 1
 
 WAVEFORM = "SHUTTER"
 """Name of the waveform in the instrument's memory."""

@@ -8,10 +8,11 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, only, unaltered, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary"]
+__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
 
 suffix = ".vcd"
 summary = "waveform of shutter and gate in ns, for logic-analyser software"
+tick_ns = 1
 
 _FACTS = re.compile(r"^\$comment (chip_ns .*) \$end$", re.MULTILINE)
 _FACT = re.compile(r"chip_ns (\S+) chips (\S+) code_crc32 (\S+)")

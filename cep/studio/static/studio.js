@@ -715,9 +715,10 @@ function wire() {
   });
   on("export", "click", async () => {
     try {
-      const { name, text } = await post("export", { setting: settingOf(state), format: $("format").value });
+      const { name, text, warnings } = await post("export", { setting: settingOf(state), format: $("format").value });
       calm("format");
       download(name, text);
+      if (warnings.length) complain(new Refused("format", `${name}: ${warnings.join("; ")}`), ["format"]);
     } catch (error) { complain(error, ["format"]); }
   });
   on("play", "click", () => { calm("port"); begin("play", { port: $("port").value, arm: true }); });

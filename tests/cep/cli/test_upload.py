@@ -11,6 +11,8 @@ from emulators.cxp_controller import ARMED, LOADED, CxpController
 from cep.io.files import StoredCode, read_code, write_code
 from cep.optics.code import ShutterCode
 from hw.device import DeviceProfile
+from hw.export import EXPORTERS
+from hw.program import Program
 
 if not hasattr(signal, "SIGALRM"):
     pytest.skip("no pseudo-terminals on this system", allow_module_level=True)
@@ -124,6 +126,36 @@ def test_a_shutter_in_a_code_file_that_is_a_name_or_no_profile(cep, workplace, d
     assert "odd.json" in line
     assert not Path("out.csv").exists()
     assert cep.refuses("audit", "odd.json") if device == 17 else cep.succeeds("audit", "odd.json")
+
+
+@pytest.mark.parametrize(
+    ("file_format", "meant_ns", "chip_ns"),
+    [("arduino", 641_026, 641_000), ("arduino", 49_990, 50_000), ("rp2", 641_026, 641_024), ("dmd", 641_026, 641_000),
+     ("pulsepal", 10_049_000, 10_050_000), ("csv", 641_026, 641_026)],
+)  # fmt: skip
+def test_an_export_rounds_the_chip_to_the_ticks_of_its_device_and_says_so(
+    cep, workplace, file_format, meant_ns, chip_ns
+):
+    chips = ("1101", "--chip-ns", meant_ns)
+    found = cep.succeeds("export", *chips, "--format", file_format, "-o", "out")
+    assert (found["chip_ns"], found["duration_ns"]) == (chip_ns, 4 * chip_ns)
+    assert EXPORTERS[file_format].parse_back(Path("out").read_text()) == Program("1101", chip_ns)
+    assert len(found["warnings"]) == (chip_ns != meant_ns)
+    assert all(f"out: its chips last {chip_ns} ns instead of {meant_ns} ns" in line for line in found["warnings"])
+
+
+def test_a_chip_that_rounding_would_change_by_more_than_half_a_percent_is_refused(cep, workplace):
+    line = cep.refuses("export", "1101", "--chip-ns", 641_026, "--format", "pulsepal", "-o", "out")
+    assert "600000 ns would do" in line
+
+
+def test_what_is_rounded_keeps_the_limits_of_its_shutter(cep, workplace):
+    Path("sharp.toml").write_text('schema = "hw.device/1"\nname = "sharp"\nmax_on_ns = 1282600\n')
+    chips = ("110", "--format", "arduino", "--device", "sharp.toml", "-o", "out.ino", "--chip-ns")
+    assert "longest opening is 1.283 ms" in cep.refuses("export", *chips, 641_300)  # 641.5 us, rounded
+    assert cep.succeeds("export", *chips, 641_200)["chip_ns"] == 641_000
+    Path("out.ino").unlink()
+    assert cep.succeeds("export", *chips[:4], "cxp-avr", *chips[5:], 641_026)["chip_ns"] == 641_000
 
 
 def test_a_code_is_played_at_once(cep, workplace, controller):

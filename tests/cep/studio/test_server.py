@@ -153,6 +153,14 @@ def test_every_format_is_exported(client, setting, file_format):
         assert answer.json()["text"]
 
 
+def test_a_sketch_of_chips_between_two_ticks_is_downloaded_with_a_warning(client, setting):
+    document = {"setting": {**setting, "exposure": "20001us"}, "format": "arduino"}
+    answer = client.post("/api/export", json=document).json()
+    assert "#define TICKS 2500u" in answer["text"]
+    assert answer["warnings"] == ["its chips last 1250000 ns instead of 1250062 ns: whole ticks of 500 ns"]
+    assert client.post("/api/export", json={**document, "format": "csv"}).json()["warnings"] == []
+
+
 def test_a_document_is_opened_by_what_it_is(client, setting):
     saved = posted(client, "save", setting=setting, state={"bits": setting["bits"]})
     assert client.post(
