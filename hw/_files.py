@@ -2,8 +2,42 @@
 
 from __future__ import annotations
 
+import codecs
+import re
 import stat
 from pathlib import Path
+
+_MARKS = {
+    codecs.BOM_UTF8: "utf-8",
+    codecs.BOM_UTF32_LE: "utf-32-le",  # begins like the mark of UTF-16
+    codecs.BOM_UTF32_BE: "utf-32-be",
+    codecs.BOM_UTF16_LE: "utf-16-le",
+    codecs.BOM_UTF16_BE: "utf-16-be",
+}
+_BINARY = re.compile(r"[\0-\x08\x0e-\x1a\x1c-\x1f]")
+
+
+def decoded(data: bytes) -> str:
+    """Decode text that begins in ASCII: UTF-8, UTF-16 or UTF-32 with their marks or without, else Windows-1252.
+
+    Raises
+    ------
+    UnicodeDecodeError
+        If it is neither UTF-8 nor text at all.
+    """
+    mark = next((mark for mark in _MARKS if data.startswith(mark)), b"")
+    if mark:
+        text = data.removeprefix(mark).decode(_MARKS[mark], errors="replace")  # a cut end is the parser's to tell
+    elif len(data) > 1 and 0 in data[:2]:
+        text = data.decode("utf-16-le" if data[0] else "utf-16-be", errors="replace")
+    else:
+        try:
+            text = data.decode("utf-8")
+        except UnicodeDecodeError:
+            text = data.decode("cp1252", errors="replace")
+            if _BINARY.search(text):
+                raise
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def regular_file(path: str | Path) -> Path:

@@ -226,10 +226,12 @@ def load_profile(name: str | Path) -> DeviceProfile:
     try:
         text = regular_file(name).read_text(encoding="utf-8-sig")  # Windows editors write a mark first
     except UnicodeDecodeError:
-        raise ValueError(f"{text_name} is not UTF-8 text: a device profile is a TOML file") from None
+        text = "\0"
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else _one_line(error)
         raise ValueError(f"{text_name} cannot be read: {reason}; name a built-in profile or a .toml file") from None
+    if "\0" in text:  # UTF-16 without a mark is UTF-8 with zeros
+        raise ValueError(f"{text_name} is not UTF-8: a device profile is a TOML file, save it as UTF-8")
     return parse_profile(text, source=text_name)
 
 

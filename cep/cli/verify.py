@@ -79,6 +79,7 @@ def verify(
         found.save(output, motion=motion, device=stored_device(stored, source=code), force=force)
     result = {
         "file": capture, "signal": found.signal, **program_figures(program, None), **found.to_dict(), "files": written,
+        "warnings": [f"{capture}: {warning}" for warning in found.warnings],
     }  # fmt: skip
     finish(result, as_json=as_json, tables=tables, show=lambda console: console.print(
         table(f"{capture}, {found.signal}", ("play", "clock, ppm", "jitter, ns", "worst edge, ns", "same bits"), [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,17 +38,32 @@ class Playback:
         The shutter's, in the recording.
     plays : tuple of Verification
         One or more.
+    others : tuple of str
+        Signals with edges besides, where the shutter's was not named.
     """
 
     program: Program
     signal: str
     plays: tuple[Verification, ...]
+    others: tuple[str, ...] = ()
 
     @property
     def wrong(self) -> dict[int, Verification]:
         """Plays that differ from the program, by their number, counted from 1."""
         numbered = enumerate(self.plays, start=1)
         return {number: play for number, play in numbered if play.problems or not play.same_bits}
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was assumed of the recording, one sentence each."""
+        short = sum(play.glitches for play in self.plays)
+        assumed = {
+            f"{self.signal} is taken for the shutter's, with most edges; {', '.join(self.others)} has some as well, "
+            "--signal names the right one": bool(self.others),
+            f"{self.signal} rests high: low is taken for open": self.plays[0].inverted,
+            f"{short} pulses of {self.signal} too short for a chip were passed over": short > 0,
+        }
+        return [warning for warning, holds in assumed.items() if holds]
 
     @property
     def code(self) -> ShutterCode:
@@ -144,8 +159,15 @@ def read_playback(
         program = Program.from_bits(program.bits, chip_ns=program.chip_ns)
     recording = read_capture(capture)
     trace = recording.trace(signal)
-    plays = align(trace, program, trigger=recording.trace(trigger) if trigger else None)
-    return Playback(program, trace.name, tuple(plays))
+    asked = recording.trace(trigger) if trigger else None
+    plays = align(trace, program, trigger=asked)
+    found = Playback(program, trace.name, plays)
+    if signal is not None:
+        return found
+    # One that is much quieter is no rival, unless what was taken is wrong.
+    least = 1 if found.wrong else len(trace.edges) // 2
+    rivals = (each for each in recording.traces if each not in (trace, asked) and len(each.edges) >= max(least, 1))
+    return replace(found, others=tuple(each.name for each in rivals))
 
 
 def _psf_stem(output: Path) -> str:
@@ -156,6 +178,7 @@ def _figures(play: Verification) -> dict[str, object]:
     return {
         "bits": play.achieved, "same_bits": play.same_bits, "start_ns": play.start_ns, "clock_ppm": -play.scale_ppm,
         "jitter_ns": play.jitter_ns, "worst_ns": play.worst_ns, "widening_ns": play.widening_ns,
-        "latency_ns": play.latency_ns, "missing": play.missing, "extra": play.extra, "inverted": play.inverted,
+        "latency_ns": play.latency_ns, "missing": play.missing, "extra": play.extra, "glitches": play.glitches,
+        "inverted": play.inverted,
         "verdict": play.verdict, "problems": play.problems,
     }  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hw._files import regular_file
+from hw._files import decoded, regular_file
 from hw.recordings.saleae import is_saleae, parse_saleae
 from hw.recordings.trace import Recording
 from hw.recordings.vcd import parse_vcd
@@ -13,7 +13,9 @@ __all__ = ["read_capture"]
 
 
 def read_capture(path: str | Path) -> Recording:
-    """Read a VCD file, or a digital CSV export of Saleae Logic.
+    """Read a VCD file, or a digital CSV export of Saleae Logic, in UTF-8, UTF-16 or the alphabet of a Windows program.
+
+    All that matters in them is ASCII but the signals' names: those in an 8-bit alphabet are read as Windows-1252.
 
     Raises
     ------
@@ -21,7 +23,7 @@ def read_capture(path: str | Path) -> Recording:
         If the file cannot be read or is neither.
     """
     try:
-        text = regular_file(path).read_text(encoding="utf-8-sig")  # Windows programs write a mark first
+        text = decoded(regular_file(path).read_bytes())
     except UnicodeDecodeError:
         raise ValueError(
             f"{path} is no text: save or export the capture as VCD (value change dump), or from Saleae Logic as CSV"

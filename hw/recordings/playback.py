@@ -17,6 +17,7 @@ __all__ = ["Verification", "align"]
 
 _GLITCH = 0.1  # of a chip: what is shorter is noise, not a chip
 _SLACK = 1.03  # a play may last that much longer than it should before the next is looked for
+_CLOCKS = (0.8, 1.25)  # as much longer or shorter no clock makes a play: a factor is wrong
 _DRIFT_CHIPS = 0.25  # over the whole code; more is a visibly other blur
 
 
@@ -97,34 +98,57 @@ def align(trace: Trace, program: Program, *, trigger: Trace | None = None) -> tu
     Raises
     ------
     ValueError
-        If the signal has no edge, or the trigger no rising one.
+        If the signal has no edge or only pulses too short to be chips, or the trigger has no rising edge.
     """
     for each, what in ((trace, "signal"), (trigger, "trigger")):
         if each is not None and not each.edges:
             raise ValueError(f"{what} {each.name!r} has no edge in this recording: nothing was played into it")
     if trigger is not None and not any(level for _, level in trigger.edges):
         raise ValueError(f"trigger {trigger.name!r} never rises in this recording: start it before the trigger")
-    inverted = _rests_high(trace)
-    level = trace.level ^ inverted
-    raw = [(time_ns, new ^ inverted) for time_ns, new in trace.edges]
+    readings = [plays for rest in _rests(trace) if (plays := _with_rest(trace, program, trigger, rest=rest))]
+    if not readings:
+        raise ValueError(
+            f"signal {trace.name!r} has only pulses shorter than {_GLITCH * program.chip_ns / 1000:g} us in this "
+            "recording: nothing was played into it, or the chip time is wrong"
+        )
+    return min(readings, key=_differing)
+
+
+def _with_rest(trace: Trace, program: Program, trigger: Trace | None, *, rest: int) -> tuple[Verification, ...]:
+    """Compare a signal that is closed at the level `rest` with the program."""
+    level = trace.level ^ rest
+    raw = [(time_ns, new ^ rest) for time_ns, new in trace.edges]
     edges, short = _without_glitches([(trace.start_ns, 1), *raw] if level else raw, _GLITCH * program.chip_ns)
     found = []
     for begin, end, asked in _plays(edges, program, trigger):
         inside = edges[bisect_left(edges, (begin, 0)) : bisect_left(edges, (end, 0))]
         glitches = sum(begin <= time_ns < end for time_ns in short)
-        found.append(_verification(inside, program, trace.end_ns, bool(inverted), glitches, asked))
+        found.append(_verification(inside, program, trace.end_ns, bool(rest), glitches, asked))
     if level and found:
         cut = ("the recording begins with the shutter open: start it before the trigger",)
         found[0] = replace(found[0], problems=(*found[0].problems, *cut))
     return tuple(found)
 
 
-def _rests_high(trace: Trace) -> int:
+def _rests(trace: Trace) -> tuple[int, ...]:
+    """Levels at which the signal may be closed, the likelier one first: that before and after its edges.
+
+    A recording that begins or ends at an edge has two of them.
+    """
     last = trace.edges[-1][1]
     if trace.level == last:
-        return last
+        return (last,)
     before, after = trace.edges[0][0] - trace.start_ns, trace.end_ns - trace.edges[-1][0]
-    return trace.level if before >= after else last
+    return (trace.level, last) if before >= after else (last, trace.level)
+
+
+def _differing(plays: tuple[Verification, ...]) -> tuple[int, int, int]:
+    """How many plays have other chips than the program, how many openings were lost or added, and other problems."""
+    return (
+        sum(not play.same_bits for play in plays),
+        sum(play.missing + play.extra for play in plays),
+        sum(len(play.problems) for play in plays),
+    )
 
 
 def _without_glitches(
@@ -194,7 +218,10 @@ def _verification(
         problems.append("the recording ends before the code does: record longer")
     scale_ppm, drift = (fit.scale - 1) * 1e6, abs(fit.scale - 1) * program.chips
     if drift > _DRIFT_CHIPS:
-        problems.append(f"the clock is off by {scale_ppm:+.0f} ppm, {drift:.2f} chips over the code: calibrate it")
+        remedy = (
+            "calibrate it" if _CLOCKS[0] < fit.scale < _CLOCKS[1] else "is the chip time right, and the unit of time?"
+        )
+        problems.append(f"the clock is off by {scale_ppm:+.0f} ppm, {drift:.2f} chips over the code: {remedy}")
     return Verification(
         start_ns=fit.open_at,
         achieved=fit.achieved,

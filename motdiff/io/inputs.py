@@ -59,9 +59,12 @@ def read_text(path: Path | str) -> str:
         If it cannot be read.
     """
     try:
-        return regular_file(path).read_text(encoding="utf-8-sig")
+        text = regular_file(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: not a text file in UTF-8 ({one_line(error)})") from None
+        raise ValueError(f"{path}: not a text file in UTF-8, save it as UTF-8 ({one_line(error)})") from None
+    if "\0" in text:
+        raise ValueError(f"{path}: not a text file in UTF-8, save it as UTF-8 (it has zeros, as UTF-16 has)")
+    return text
 
 
 def read_json(path: Path | str) -> Any:

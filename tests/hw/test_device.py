@@ -157,6 +157,15 @@ def test_bad_files_get_one_clear_line(tmp_path):
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "latin-1"])
+def test_a_profile_in_another_encoding_is_told_what_would_be_right(tmp_path, encoding):
+    path = tmp_path / "mine.toml"
+    path.write_bytes('schema = "hw.device/1"\nname = "mine"\ndescription = "Ferré"\n'.encode(encoding))
+    with pytest.raises(ValueError, match=r"mine.toml is not UTF-8: .*save it as UTF-8") as caught:
+        load_profile(path)
+    assert "\n" not in str(caught.value)
+
+
 def test_a_profile_with_the_mark_of_windows_editors(tmp_path):
     plain, marked = tmp_path / "plain.toml", tmp_path / "marked.toml"
     plain.write_text('schema = "hw.device/1"\nname = "mine"\ntick_ns = 500\n')

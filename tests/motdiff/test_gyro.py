@@ -170,6 +170,14 @@ def test_bad_files(tmp_path: Path, text: str, said: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "latin-1"])
+def test_another_encoding_is_told_what_would_be_right(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "gyro.csv"
+    path.write_bytes("t_s,wx,wy,wz\n0.00,1,2,3\n# 3 °/s\n0.01,1,2,3\n".encode(encoding))
+    with pytest.raises(ValueError, match=r"gyro.csv: not a text file in UTF-8, save it as UTF-8 \("):
+        read_gyro(path)
+
+
 def test_binary_and_missing_files(tmp_path: Path) -> None:
     path = tmp_path / "gyro.csv"
     path.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")

@@ -244,6 +244,34 @@ def test_a_cut_recording_is_told():
     assert found.problems[-1] == "the recording begins with the shutter open: start it before the trigger"
 
 
+@settings(deadline=None, max_examples=100)
+@given(codes, st.booleans(), st.sampled_from([0, 50_000]), st.sampled_from([0, 1, 5 * MS]))
+def test_a_recording_that_begins_with_the_first_edge_is_read_and_said(bits, inverted, late_ns, idle_ns):
+    # No level at rest before the play, nor for long after it: closed is the level by which the code was played.
+    program = Program(bits, 200_000)
+    assume(program.pulses > 2)  # of fewer edges either level may be the open one
+    edges = tuple((time_ns - late_ns, level ^ inverted) for time_ns, level in program.edges[1:])
+    found = _only(Trace("D0", 1 ^ inverted, edges, 0.0, edges[-1][0] + idle_ns), program)
+    assert "the recording begins with the shutter open: start it before the trigger" in found.problems
+    assert not any("another code" in problem for problem in found.problems)
+    assert found.achieved == bits
+    # A code that is its own complement, read the other way, or of which one is the other's start, is no counterexample.
+    assert found.inverted == inverted or bits == bits[::-1]
+
+
+def test_a_signal_of_glitches_alone_is_no_play():
+    for level in (0, 1):
+        trace = Trace("D0", level, ((5e6, 1 - level), (5e6 + 1000, level)), 0.0, 1e7)
+        with pytest.raises(ValueError, match="only pulses shorter than 20 us"):
+            align(trace, PROGRAM)
+
+
+def test_times_in_another_unit_are_no_clock_error_to_calibrate():
+    found = _only(_trace((_scaled(PROGRAM, 1000), 0)))
+    assert "the unit of time" in found.problems[0]
+    assert "calibrate" not in found.verdict
+
+
 @settings(deadline=None, max_examples=200)
 @given(codes, codes, st.integers(-3000, 3000))
 def test_another_code_is_never_taken_for_the_right_one(bits, other, ppm):
@@ -411,6 +439,34 @@ def test_a_vcd_written_by_sigrok(tmp_path, downsample):
     assert (found.achieved, found.problems) == (RASKAR, ())
     assert abs(found.latency_ns) <= downsample
     assert found.worst_ns <= downsample
+
+
+ENCODINGS = ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "cp1252", "latin-1", "cp1251"]
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("kind", ["vcd", "csv"])
+def test_any_encoding_of_a_capture_is_read(tmp_path, encoding, kind):
+    accent = "д" if encoding == "cp1251" else "é"
+    if kind == "vcd":
+        text = EXPORTERS["vcd"].export(PROGRAM).replace("$comment", f"$date heure d{accent} $end\n$comment", 1)
+    else:
+        rows = [(0, 0), *((time_ns + MS, level) for time_ns, level in PROGRAM.edges)]
+        lines = [f"{time_ns / 1e9:.9f},{level},0" for time_ns, level in rows]
+        text = "\r\n".join([f"Time [s],shutter,d{accent}but", *lines, ""])
+    path = tmp_path / f"capture.{kind}"
+    path.write_bytes(text.encode(encoding))
+    recording = read_capture(path)
+    assert _only(recording.trace("shutter")).achieved == RASKAR
+    if kind == "csv" and encoding != "cp1251":
+        assert recording.trace("début").edges == ()
+
+
+def test_a_capture_cut_in_the_middle_of_a_character_is_told(tmp_path):
+    path = tmp_path / "capture.csv"
+    path.write_bytes("Time [s],D0\n0,0\n1,1\n2,0\n3,1".encode("utf-16")[:-1])
+    with pytest.raises(ValueError, match=r"capture.csv: line 5 has"):
+        read_capture(path)
 
 
 def test_a_vcd_with_the_mark_of_windows_programs(tmp_path):
