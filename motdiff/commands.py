@@ -206,6 +206,7 @@ def _add_sample(commands: _Commands[argparse.ArgumentParser]) -> None:
 def _sample(given: argparse.Namespace) -> None:
     import torch
 
+    from motdiff.crops import luminance
     from motdiff.estimators.kernel_score import noise_sigma
     from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
     from motdiff.io.decoding import decode
@@ -215,7 +216,7 @@ def _sample(given: argparse.Namespace) -> None:
     from motdiff.simulate import to_linear
     from motdiff.weights import DEFAULT_WEIGHTS, load_network
 
-    image, _ = decode(photo_bytes(given.photo), given.photo, colour=True)
+    image, _ = decode(photo_bytes(given.photo), given.photo)
     if min(image.shape[:2]) < PHOTO_PX:
         raise ValueError(
             f"{given.photo}: must have at least {PHOTO_PX} x {PHOTO_PX} px, has {image.shape[1]} x {image.shape[0]}"
@@ -223,7 +224,8 @@ def _sample(given: argparse.Namespace) -> None:
     if given.count < 1:
         raise ValueError(f"--count: must be at least 1, got {given.count}")
     top, left = ((n - PHOTO_PX) // 2 for n in image.shape[:2])
-    light = to_linear(image[top : top + PHOTO_PX, left : left + PHOTO_PX] / 255).mean(axis=2)[None]
+    middle = image[top : top + PHOTO_PX, left : left + PHOTO_PX]
+    light = luminance(middle if middle.dtype.kind == "f" else to_linear(middle / np.iinfo(middle.dtype).max))[None]
     classical = quick_search(light, sigma=noise_sigma(light[0]))
     generator = torch.Generator().manual_seed(given.seed)
     network = load_network(given.weights or DEFAULT_WEIGHTS)

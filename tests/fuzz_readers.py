@@ -203,7 +203,17 @@ def _tiff_seeds():
         _encoded(".tif", _scene(), *lzw),
         _encoded(".tif", _scene(1, np.uint16), *none),
         _encoded(".tif", _scene().astype(np.float32) / 255, *none),
+        _tiff(_scene(), compression="adobe_deflate", predictor=True, tile=(16, 16), bigtiff=True),
+        _tiff(_scene(3, np.uint16).transpose(2, 0, 1), photometric="rgb", planarconfig="separate", byteorder=">"),
     ]
+
+
+def _tiff(image, **options):
+    import tifffile
+
+    stream = BytesIO()
+    tifffile.imwrite(stream, image, **options)
+    return stream.getvalue()
 
 
 def _jpeg_seeds():

@@ -203,7 +203,7 @@ def _decoded(
         exponent = 1.0
         warnings = (f'{source}: its variable "{variable}" was taken as linear light, as it is stored',)
     else:
-        decoded, warnings = _read_picture(source)
+        decoded, warnings = decode(photo_bytes(source), source)
     height, width = decoded.shape[:2]
     if min(height, width) < min_side_px:
         raise ValueError(f"{source}: {width} x {height} px is too small, at least {min_side_px} px a side is needed")
@@ -337,20 +337,6 @@ def _exponent(gamma: str | float) -> float | None:
     if isinstance(checked, str):
         return None if checked == "srgb" else 1.0
     return checked
-
-
-def _read_picture(source: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
-    """Decode to samples (H, W) or (H, W, 3), red green blue, at the file's depth, with warnings of losses."""
-    decoded, damage = decode(photo_bytes(source), source)
-    warnings = tuple(f"{source}: the image is damaged in places ({line})" for line in damage)
-    if decoded.ndim == 3 and decoded.shape[2] == 4:
-        alpha = decoded[:, :, 3]
-        if alpha.min() < (1 if decoded.dtype.kind == "f" else np.iinfo(decoded.dtype).max):
-            warnings += (f"{source}: the transparency (alpha channel) was dropped",)
-        decoded = decoded[:, :, :3]
-    if decoded.ndim == 3:
-        decoded = decoded[:, :, 0] if decoded.shape[2] == 1 else decoded[:, :, ::-1]
-    return decoded, warnings
 
 
 def _precision(decoded: NDArray[Any]) -> type:

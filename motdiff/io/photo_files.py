@@ -1,4 +1,4 @@
-"""Image files before they are decoded: kind, completeness, and size in pixels, which is limited."""
+"""Image files before they are decoded: kind, completeness, orientation, and size in pixels, which is limited."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from motdiff.io.inputs import regular_file
+from motdiff.io.tiff_files import TIFF, exif_orientation, photo_page
 
-__all__ = ["JPEG", "MOST_PX", "check_px", "photo_bytes"]
+__all__ = ["MOST_PX", "check_px", "is_animated", "orientation", "photo_bytes"]
 
 MOST_PX = 120_000_000
 """Pixels of the largest photo that is read: in colour 2.9 GB as float64, and restoring it takes several times that."""
 
-JPEG = b"\xff\xd8\xff"
-"""First bytes of a JPEG file."""
-
+_JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
-_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_EXIF = b"Exif\0\0"  # before EXIF data in JPEG, and by mistake in some WebP files
 _MOST_BYTES = 2**31  # 120 megapixels of four 32-bit samples
 _FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # SOF0 to SOF15 without DHT, JPG and DAC
 
@@ -54,11 +53,11 @@ def photo_bytes(path: Path | str) -> bytes:
         raise ValueError(f"{source}: the file is empty")
     if data.startswith(_PNG):
         complete, size = _png_complete(data), _png_size
-    elif data.startswith(JPEG):
+    elif data.startswith(_JPEG):
         complete, size = _jpeg_complete(data), _jpeg_size
-    elif data.startswith(_TIFF):
-        complete, size = True, _tiff_size  # libtiff refuses cut files by itself
-    elif data.startswith(b"RIFF") and data[8:12] == b"WEBP":
+    elif data.startswith(TIFF):
+        complete, size = True, _tiff_size  # what is cut off shows as it is decoded
+    elif _is_webp(data):
         complete, size = _webp_complete(data), _webp_size
     else:
         raise ValueError(f"{source}: not a PNG, JPEG, TIFF or WebP image (it begins with {data[:12]!r})")
@@ -91,19 +90,24 @@ def check_px(width: int, height: int, name: object) -> None:
 
 
 def _png_complete(data: bytes) -> bool:
-    """Walk the chunks to IEND, checking each CRC (PNG specification, section 5.3)."""
+    """Check each chunk's CRC up to IEND (PNG specification, section 5.3)."""
+    for kind, start, end in _png_chunks(data):
+        if zlib.crc32(memoryview(data)[start - 4 : end]).to_bytes(4, "big") != data[end : end + 4]:
+            return False
+        if kind == b"IEND":
+            return True
+    return False
+
+
+def _png_chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
+    """Yield kind, start and end of each whole chunk's content."""
     at = len(_PNG)
     while at + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, at)
         if at + 12 + length > len(data):
-            return False
-        (crc,) = struct.unpack_from(">I", data, at + 8 + length)
-        if zlib.crc32(memoryview(data)[at + 4 : at + 8 + length]) != crc:
-            return False
-        if kind == b"IEND":
-            return True
+            return
+        yield kind, at + 8, at + 8 + length
         at += 12 + length
-    return False
 
 
 def _jpeg_complete(data: bytes) -> bool:
@@ -112,10 +116,54 @@ def _jpeg_complete(data: bytes) -> bool:
     return scan is not None and data.find(b"\xff\xd9", scan) >= 0
 
 
+def _is_webp(data: bytes) -> bool:
+    return data.startswith(b"RIFF") and data[8:12] == b"WEBP"
+
+
 def _webp_complete(data: bytes) -> bool:
     """Compare the length with the one in the file's header."""
     (length,) = struct.unpack_from("<I", data, 4)
     return bool(8 + length <= len(data))
+
+
+# -- orientation, animation ------------------------------------------------------------------------------------------
+
+
+def orientation(data: bytes) -> int:
+    """How a PNG, JPEG or WebP image is turned upright by its EXIF data.
+
+    Returns
+    -------
+    int
+        1 to 8 as in EXIF 2.32, section 4.6.4; 1, as it is, where there are no such data.
+    """
+    exif = next(_exif(data), b"")
+    return exif_orientation(exif.removeprefix(_EXIF))
+
+
+def is_animated(data: bytes) -> bool:
+    """Whether a PNG or WebP file holds more than one picture."""
+    chunks = _png_chunks(data) if data.startswith(_PNG) else _webp_chunks(data) if _is_webp(data) else ()
+    return any(kind in (b"acTL", b"ANIM") for kind, _, _ in chunks)
+
+
+def _exif(data: bytes) -> Iterator[bytes]:
+    if data.startswith(_PNG):
+        yield from (data[start:end] for kind, start, end in _png_chunks(data) if kind == b"eXIf")
+    elif data.startswith(_JPEG):
+        bodies = (data[start + 2 : end] for marker, start, end in _jpeg_segments(data) if marker == 0xE1)
+        yield from (body for body in bodies if body.startswith(_EXIF))
+    elif _is_webp(data):
+        yield from (data[start:end] for kind, start, end in _webp_chunks(data) if kind == b"EXIF")
+
+
+def _webp_chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
+    """Yield kind, start and end of each chunk's content (RFC 9649, section 2.3)."""
+    at = 12
+    while at + 8 <= len(data):
+        kind, length = struct.unpack_from("<4sI", data, at)
+        yield kind, at + 8, at + 8 + length
+        at += 8 + length + length % 2
 
 
 # -- width and height, px ---------------------------------------------------------------------------------------------
@@ -152,22 +200,8 @@ def _jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _tiff_size(data: bytes) -> tuple[int, int]:
-    """Read the first directory (TIFF 6.0, section 2; BigTIFF)."""
-    order, large = ("<" if data[:2] == b"II" else ">"), data[2:4] in (b"+\0", b"\0+")
-    offset, count, entry = ("Q", "Q", "HHQ") if large else ("I", "H", "HHI")
-    (at,) = struct.unpack_from(order + offset, data, 8 if large else 4)
-    (entries,) = struct.unpack_from(order + count, data, at)
-    at += struct.calcsize(order + count)
-    sides: dict[int, int] = {}
-    for _ in range(min(entries, 2**16)):
-        tag, kind, _ = struct.unpack_from(order + entry, data, at)
-        at += struct.calcsize(order + entry)
-        if tag in (256, 257) and kind in (3, 4, 16):  # width and height, of 2, 4 or 8 bytes
-            (sides[tag],) = struct.unpack_from(order + {3: "H", 4: "I", 16: "Q"}[kind], data, at)
-        at += struct.calcsize(order + offset)
-        if len(sides) == 2:
-            return sides[256], sides[257]
-    raise ValueError("no width or no height")
+    page, _, _ = photo_page(data)
+    return page.size
 
 
 def _webp_size(data: bytes) -> tuple[int, int]:

@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image, ImageOps
 
 from motdiff.io.decoding import decode
-from motdiff.io.photo_files import MOST_PX, check_px, photo_bytes
+from motdiff.io.photo_files import MOST_PX, check_px, orientation, photo_bytes
 
 
 def encoded(suffix, image, *options):
@@ -128,5 +129,57 @@ def test_damage_that_a_jpegs_decoder_passes_over_is_told_and_not_printed(tmp_pat
     middle = len(data) // 2
     _, damage = decode(data[:middle] + data[middle + 200 :], "photo.jpg")
     assert len(damage) == 1
-    assert damage[0].startswith("Corrupt JPEG data")
+    assert damage[0].startswith("photo.jpg: the image is damaged in places (Corrupt JPEG data")
     assert capfd.readouterr() == ("", "")
+
+
+def with_orientation(kind, value):
+    image = Image.fromarray(SCENE)
+    exif = image.getexif()
+    exif[274] = value
+    stream = BytesIO()
+    image.save(stream, kind, exif=exif, **({"lossless": True} if kind == "webp" else {}))
+    return stream.getvalue(), np.asarray(ImageOps.exif_transpose(Image.open(stream)))
+
+
+@pytest.mark.parametrize("kind", ["png", "jpeg", "webp", "tiff"])
+@pytest.mark.parametrize("value", [*range(10), 65535])
+def test_photos_are_turned_upright_whatever_their_format(kind, value):
+    """Pillow is the witness; what is no orientation leaves a photo as it is."""
+    data, upright = with_orientation(kind, value)
+    image, warnings = decode(data, "photo")
+    assert image.shape == upright.shape
+    assert np.abs(image.astype(int) - upright).max() <= (8 if kind == "jpeg" else 0)
+    assert warnings == ()
+
+
+def test_exif_data_of_a_png_count_behind_its_pixels_too():
+    data, _ = with_orientation("png", 6)
+    at = data.index(b"eXIf") - 4
+    (length,) = struct.unpack_from(">I", data, at)
+    exif = data[at : at + 12 + length]
+    plain = data[:at] + data[at + len(exif) :]
+    end = plain.index(b"IEND") - 4
+    assert orientation(plain) == 1
+    assert orientation(plain[:end] + exif + plain[end:]) == 6
+
+
+def test_damaged_exif_data_leave_the_photo_as_it_is():
+    data, _ = with_orientation("png", 6)
+    at = data.index(b"eXIf") - 4
+    (length,) = struct.unpack_from(">I", data, at)
+    exif = data[at + 8 : at + 8 + length]
+    for bad in (b"", exif[:5], exif[:12], b"XX" + exif[2:], exif[:4] + b"\xff\xff\xff\x7f" + exif[8:]):
+        image, _ = decode(data[:at] + chunk(b"eXIf", bad) + data[at + 12 + length :], "photo.png")
+        np.testing.assert_array_equal(image, SCENE)
+
+
+@pytest.mark.parametrize("kind", ["png", "webp"])
+def test_of_an_animation_the_first_picture_is_read_with_a_word(kind):
+    stream = BytesIO()
+    first = Image.fromarray(SCENE)
+    first.save(stream, kind, save_all=True, append_images=[Image.fromarray(SCENE[::-1])], lossless=True)
+    image, warnings = decode(stream.getvalue(), "photo")
+    np.testing.assert_array_equal(image, SCENE)
+    assert len(warnings) == 1
+    assert "animated" in warnings[0]

@@ -1,0 +1,76 @@
+"""Pages of TIFF files: the photo is read, and not its preview; where there are several photos, that is told."""
+
+import re
+from io import BytesIO
+
+import numpy as np
+import pytest
+import tifffile
+
+from motdiff.io.decoding import decode
+from motdiff.io.photo_files import photo_bytes
+from motdiff.io.tiff_files import photo_page
+
+PHOTO = np.random.default_rng(0).integers(0, 65536, (40, 56), dtype=np.uint16)
+SMALL = (PHOTO[::2, ::2] >> 8).astype(np.uint8)
+
+
+def written(*pages, **options):
+    stream = BytesIO()
+    with tifffile.TiffWriter(stream, **options) as file:
+        for image, fields in pages:
+            file.write(image, photometric="minisblack", **fields)
+    return stream.getvalue()
+
+
+PREVIEWS = {
+    "before it": [(SMALL, {"subfiletype": 1}), (PHOTO, {})],
+    "behind it": [(PHOTO, {}), (SMALL, {"subfiletype": 1})],
+    "above it": [(SMALL, {"subfiletype": 1, "subifds": 1}), (PHOTO, {})],
+    "of the old kind": [(SMALL, {"extratags": [(255, 3, 1, 2, True)]}), (PHOTO, {})],
+    "a mask": [(PHOTO > 9, {"subfiletype": 4}), (PHOTO, {})],
+}
+
+
+@pytest.mark.parametrize("place", PREVIEWS)
+@pytest.mark.parametrize("options", [{}, {"bigtiff": True, "byteorder": ">"}])
+def test_a_preview_is_not_the_photo(place, options):
+    image, warnings = decode(written(*PREVIEWS[place], **options), "photo.tif")
+    np.testing.assert_array_equal(image, PHOTO)
+    assert warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("images", "which"),
+    [([PHOTO, PHOTO[::-1], PHOTO[:, ::-1]], "3 pages, the first was"), ([SMALL, PHOTO], "2 pages, .* number 2, was")],
+)
+def test_several_photos_in_a_file_are_told(images, which):
+    data = written(*((image, {}) for image in images))
+    image, warnings = decode(data, "stack.tif")
+    np.testing.assert_array_equal(image, PHOTO)
+    assert len(warnings) == 1
+    assert re.search(rf"^stack\.tif: holds {which}", warnings[0])
+
+
+def test_the_limit_on_pixels_is_on_the_page_that_is_decoded(tmp_path, monkeypatch):
+    path = tmp_path / "photo.tif"
+    path.write_bytes(written(*PREVIEWS["before it"]))
+    monkeypatch.setattr("motdiff.io.photo_files.MOST_PX", PHOTO.size - 1)
+    with pytest.raises(ValueError, match=r"photo\.tif: 56 x 40 px"):
+        photo_bytes(path)
+
+
+def test_pages_in_a_circle_end():
+    data = bytearray(written((PHOTO, {})))
+    page = tifffile.TiffFile(BytesIO(data)).pages[0]
+    following = page.offset + 2 + 12 * len(page.tags)
+    data[following : following + 4] = page.offset.to_bytes(4, "little")
+    assert photo_page(bytes(data))[1:] == (1, 1)
+
+
+def test_what_follows_a_photo_and_is_damaged_does_not_matter():
+    data = bytearray(written((PHOTO, {})))
+    page = tifffile.TiffFile(BytesIO(data)).pages[0]
+    following = page.offset + 2 + 12 * len(page.tags)
+    data[following : following + 4] = (2**31).to_bytes(4, "little")
+    np.testing.assert_array_equal(decode(bytes(data), "photo.tif")[0], PHOTO)
