@@ -17,9 +17,9 @@ __all__ = [
     "best_crops",
     "best_windows",
     "blur_differs_warning",
-    "brightened",
     "check_size",
     "clipped_mask",
+    "exposure_gain",
     "luminance",
     "pick_crops",
     "textured_luminance",
@@ -77,27 +77,25 @@ def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:
     return grey
 
 
-def brightened(grey: FloatArray, *, open_share: float) -> FloatArray:
-    """Brighten a dim photo for a blind search: to what an open shutter would have given, without clipping.
+def exposure_gain(photo: ArrayLike) -> float:
+    """Factor that brings a dim photo to full scale without clipping it; 1 for a bright one.
+
+    What is searched and chosen by limits on light and noise is then the same whatever a photo's exposure.
 
     Parameters
     ----------
-    grey : (H, W) float, linear light 0..1
-    open_share : float
-        Share of the exposure, above 0 and up to 1, in which its shutter was open.
+    photo : (...) array_like, linear light 0..1
 
     Returns
     -------
-    (H, W) float; the photo itself, times 1 or more
+    float, 1 or more
 
     Examples
     --------
-    >>> dim = np.array([[0.1, 0.2]])
-    >>> brightened(dim, open_share=0.5), brightened(dim, open_share=0.1)
-    (array([[0.2, 0.4]]), array([[0.475, 0.95 ]]))
+    >>> f"{exposure_gain([[0.1, 0.2]]):.2f}", exposure_gain([[0.1, 1.0]])
+    ('4.75', 1.0)
     """
-    brightest = max(float(grey.max(initial=0.0)), _DARKEST)
-    return grey * max(1.0, min(1 / open_share, _FULL / brightest))
+    return max(1.0, _FULL / max(float(np.max(photo, initial=0.0)), _DARKEST))
 
 
 def check_size(photo: ArrayLike, *, least_px: int) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cep.io.outputs import new_file
+from cep.io.white_level import WhiteLevel, white_level
 from motdiff.io.decoding import decode, decoder_output
 from motdiff.io.inputs import one_line, regular_file
 from motdiff.io.mat_files import read_mat
@@ -30,6 +31,7 @@ __all__ = [
     "check_image_name",
     "encode_image",
     "parse_gamma",
+    "read_codes",
     "read_detail",
     "read_image",
     "read_mosaic",
@@ -145,6 +147,27 @@ def read_photo(
     return Photo(linear(decoded), _bits(decoded), warnings)
 
 
+def read_codes(path: Path | str, *, min_side_px: int = MIN_SIDE_PX) -> tuple[NDArray[Any], tuple[str, ...]]:
+    """Read the code values of a PNG, TIFF, JPEG or WebP file as they are stored.
+
+    Returns
+    -------
+    codes : (H, W) or (H, W, 3) uint8 or uint16 ndarray
+    warnings : tuple of str
+
+    Raises
+    ------
+    ValueError, OSError
+        As of :func:`read_photo`; or if the samples are floating point.
+    """
+    source = Path(path)
+    codes, warnings = decode(photo_bytes(source), source)
+    _check_side(source, codes, min_side_px)
+    if codes.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"{source}: holds floating-point numbers, and no code values; give files of 8 or 16 bits")
+    return codes, warnings
+
+
 def read_detail(
     path: Path | str, *, side_px: int, preview_px: int, gamma: str | float = "srgb"
 ) -> tuple[Photo, FloatArray, tuple[int, int]]:
@@ -204,17 +227,24 @@ def _decoded(
         warnings = (f'{source}: its variable "{variable}" was taken as linear light, as it is stored',)
     else:
         decoded, warnings = decode(photo_bytes(source), source)
-    height, width = decoded.shape[:2]
-    if min(height, width) < min_side_px:
-        raise ValueError(f"{source}: {width} x {height} px is too small, at least {min_side_px} px a side is needed")
+    _check_side(source, decoded, min_side_px)
     if decoded.dtype.kind == "f":
         return _checked_float(source, decoded), lambda samples: samples, warnings
     if decoded.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{source}: has {decoded.dtype} samples, wanted 8 or 16 bit or floating point")
-    full_scale = int(np.iinfo(decoded.dtype).max)
+    white = WhiteLevel(int(np.iinfo(decoded.dtype).max)) if suffix in RAW_SUFFIXES else white_level(decoded)
+    if white.assumption:
+        warnings += (f"{source}: {white.assumption}",)
     # a table of all 2^bits values: forty megapixels cost one look-up each
-    table: FloatArray = to_linear(np.arange(full_scale + 1) / full_scale, gamma=exponent).astype(_precision(decoded))
+    values = np.minimum(np.arange(np.iinfo(decoded.dtype).max + 1) / white.code, 1.0)
+    table: FloatArray = to_linear(values, gamma=exponent).astype(_precision(decoded))
     return decoded, lambda samples: np.ascontiguousarray(table[samples]), warnings
+
+
+def _check_side(source: Path, decoded: NDArray[Any], min_side_px: int) -> None:
+    height, width = decoded.shape[:2]
+    if min(height, width) < min_side_px:
+        raise ValueError(f"{source}: {width} x {height} px is too small, at least {min_side_px} px a side is needed")
 
 
 def _bits(decoded: NDArray[Any]) -> int:

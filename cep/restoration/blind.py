@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cep.optics.code import ShutterCode
-from motdiff.crops import brightened, luminance
 
 __all__ = ["FoundPsf", "find_psf"]
 
@@ -61,9 +60,8 @@ def find_psf(
     """
     from motdiff.estimators.pmp import PmpEstimator
 
-    grey = luminance(photo)
     duty = 1.0 if code is None else code.duty
-    found = PmpEstimator(progress=progress).estimate(brightened(grey, open_share=duty))
+    found = PmpEstimator(progress=progress).estimate(photo)
     warnings = list(found.psf_warnings)
     if found.confidence < _LOST:
         warnings.insert(

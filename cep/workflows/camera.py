@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.io.images import RAW_SUFFIXES, read_mosaic, read_photo
+from cep.io.images import RAW_SUFFIXES, read_codes, read_mosaic
 from cep.io.outputs import claim, new_files
 from cep.optics.camera import Camera
 from cep.optics.photon_transfer import CodeRange, FramePair, PhotonTransfer, find_code_range, photon_transfer
@@ -53,6 +53,7 @@ class _Frame:
     codes: NDArray[np.uint16]
     file_bits: int
     raw: tuple[float, int] | None = None  # black and white of a RAW file
+    warnings: tuple[str, ...] = ()
 
 
 def estimate_camera(
@@ -99,15 +100,18 @@ def estimate_camera(
     if dark and black_dn is not None:
         raise ValueError("black_dn and dark: give one of them, dark frames show the black level")
     if len(flats) < 2 or len(flats) % 2:
-        raise ValueError(f"flats: must be two frames of each level of light, got {len(flats)}")
+        raise ValueError(
+            f"flats: must be two frames of each level of light, got {len(flats)}; each in a file of its own"
+        )
     if len(dark) not in (0, 2):
         raise ValueError(f"dark: must be two frames, got {len(dark)}")
     levels = len(flats) // 2
     files = [*zip(flats[::2], flats[1::2], strict=True), *([(dark[0], dark[1])] if dark else [])]
     response: Literal["linear", "srgb"] = "srgb" if gamma == "srgb" else "linear"
-    pairs, kinds = [], set()
+    pairs, kinds, warnings = [], set(), []
     for done, (first, second) in enumerate(files):
         frames = _read_frame(first), _read_frame(second)
+        warnings += [line for frame in frames for line in frame.warnings]
         kinds |= {(frame.file_bits, frame.raw) for frame in frames}
         if len(kinds) > 1:
             raise ValueError(f"{second}: is of another kind than the frames before it: bits, black or white differ")
@@ -127,7 +131,8 @@ def estimate_camera(
         raise ValueError(_with_files(str(error), files)) from None
     black = "a pair of dark frames" if dark else "no dark frames"
     source = f"photon-transfer curve of {levels} pair{'s' if levels > 1 else ''} of flat frames and {black}"
-    return CameraEstimate(found.camera(name=name, source=source), found)
+    camera = found.camera(name=name, source=source)
+    return CameraEstimate(camera, replace(found, warnings=(*warnings, *found.warnings)))
 
 
 def _pair(first: Path, second: Path, frames: tuple[_Frame, _Frame], response: str) -> FramePair:
@@ -149,15 +154,12 @@ def _read_frame(path: Path) -> _Frame:
     if suffix in RAW_SUFFIXES:
         mosaic = read_mosaic(path)
         return _Frame(mosaic.green, 16, (mosaic.black_dn, mosaic.white_dn))
-    photo = read_photo(path, gamma="linear", min_side_px=_FRAME_SIDE_PX)
-    if photo.bits not in (8, 16):
-        raise ValueError(f"{path}: holds floating-point numbers, and no code values; give files of 8 or 16 bits")
-    pixels: NDArray[Any] = photo.pixels
-    if pixels.ndim == 3:
-        if (pixels != pixels[:, :, :1]).any():
+    codes, warnings = read_codes(path, min_side_px=_FRAME_SIDE_PX)
+    if codes.ndim == 3:
+        if (codes != codes[:, :, :1]).any():
             raise ValueError(f"{path}: is a colour picture, whose pixels are interpolated; give grey or RAW files")
-        pixels = pixels[:, :, 0]
-    return _Frame(np.rint(pixels * (2**photo.bits - 1)).astype(np.uint16), photo.bits)
+        codes = codes[:, :, 0]
+    return _Frame(codes.astype(np.uint16), 8 * codes.dtype.itemsize, warnings=warnings)
 
 
 def _with_files(line: str, files: Sequence[tuple[Path, Path]]) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from cep.restoration.choice import FEW_CLIPPED, choose_psf, is_possible_light, restore_chosen
 from cep.restoration.methods import misfit
 from cep.restoration.spectral import trimmed_psf
-from motdiff.crops import clipped_mask
+from motdiff.crops import clipped_mask, exposure_gain
 from motdiff.estimators.base import MotionEstimate
 from motdiff.psf_frame import PSF_PX
 
@@ -98,12 +98,14 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate) -> Sharpened:
     path = estimate.best
     psfs = {"psf": estimate.psf, "trajectory": path.psf(path.frame_size(PSF_PX))}
     fitting = {name: psf for name, psf in psfs.items() if 2 * len(trimmed_psf(psf)) <= min(pixels.shape[:2])}
-    choice = choose_psf(pixels, fitting, prior_db=_PRIOR_DB) if fitting else None
+    gain = exposure_gain(pixels)
+    bright = pixels * gain if gain > 1 else pixels
+    choice = choose_psf(bright, fitting, prior_db=_PRIOR_DB) if fitting else None
     if choice is None or choice.name is None:
         return kept("No restoration is sharper than the photo without ringing: the photo is kept as it is")
     psf = psfs[choice.name]
-    image, method = restore_chosen(pixels, psf)
-    if not is_possible_light(image, pixels, psf):
+    image, method = restore_chosen(bright, psf)
+    if not is_possible_light(image, bright, psf):
         return kept("The restored photo would have dark and bright halos: the photo is kept as it is")
     if method == "wiener":
         notes.append(
@@ -111,6 +113,7 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate) -> Sharpened:
         )
     if clipped > FEW_CLIPPED:
         notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: their light was inferred from the other pixels")
+    image = image / gain
     reach = trimmed_psf(psf).shape[0] // 2
     found = "the blur kernel found in it" if choice.name == "psf" else "the path found in it"
     return Sharpened(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from motdiff.crops import CROP_PX, best_windows, clipped_mask, textured_luminance
+from motdiff.crops import CROP_PX, best_windows, clipped_mask, exposure_gain, textured_luminance
 from motdiff.estimators.base import FoundKernels, MotionEstimate
 from motdiff.estimators.doubts import doubted
 from motdiff.estimators.fusion import GOOD_MNC, Fusion, cut_alike, fuse
@@ -130,6 +130,7 @@ class BlindEstimator(ABC):
         with one_thread_a_call():
             whole = self._progress = Progress(self._tell)
             greys = _each(photos, lambda photo: textured_luminance(photo, least_px=self.smallest_px))
+            greys = [exposure_gain(grey) * grey for grey in greys]
             count = min(self._crops, max(1, _MOST_CROPS // len(photos)))
             clipped = [clipped_mask(photo) for photo in photos]
             levels: list[_Level] = []

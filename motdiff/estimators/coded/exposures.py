@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from motdiff.crops import LEAST_PX, brightened, pick_crops, textured_luminance
+from motdiff.crops import LEAST_PX, pick_crops, textured_luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.misfit import SceneSpectra, scene_spectra
@@ -108,13 +108,13 @@ def exposures_of(
         if grey.shape != greys[0].shape:
             (h, w), (h0, w0) = grey.shape, greys[0].shape
             raise ValueError(f"photo {i}: has {w} x {h} px, the first one {w0} x {h0}; give photos of one size")
-    found = _kernels_of(greys, codes, kernels, told, cost)
+    found = _kernels_of(greys, kernels, told, cost)
     shrunk = median_low(_shrunk(one) for one in found)  # one motion: a kernel much larger than the others is wrong
     if shrunk > 1:  # the blur outgrew the search
         size = (greys[0].shape[1] // shrunk, greys[0].shape[0] // shrunk)
         greys = [np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float64) for grey in greys]
         told.expect_more(cost)
-        found = _kernels_of(greys, codes, kernels, told, cost)
+        found = _kernels_of(greys, kernels, told, cost)
     light = [code.count("1") for code in codes]
     order = sorted(range(len(light)), key=lambda i: -light[i])
     trust = np.array([found[i].confidence for i in order])
@@ -139,18 +139,14 @@ def _still(found: Sequence[MotionEstimate], codes: Sequence[str]) -> MotionEstim
 
 
 def _kernels_of(
-    greys: Sequence[FloatArray], codes: Sequence[str], kernels: Estimator | None, progress: Progress, cost: float
+    greys: Sequence[FloatArray], kernels: Estimator | None, progress: Progress, cost: float
 ) -> list[MotionEstimate]:
     from motdiff.estimators.pmp import PmpEstimator
 
     def estimator(tell: Callable[[float], None]) -> Estimator:
         return kernels or PmpEstimator(crops=1, progress=tell)
 
-    estimates = []
-    for grey, code in zip(greys, codes, strict=True):
-        bright = brightened(grey, open_share=code.count("1") / len(code))
-        estimates.append(estimator(progress.piece(cost / len(greys))).estimate(bright))
-    return estimates
+    return [estimator(progress.piece(cost / len(greys))).estimate(grey) for grey in greys]
 
 
 def _grey(photo: ArrayLike, name: str) -> FloatArray:

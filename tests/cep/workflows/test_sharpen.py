@@ -42,6 +42,14 @@ def test_a_blurred_photo_is_restored_and_it_is_said_with_what():
     assert found.unreliable_px == 7
 
 
+def test_a_dim_photo_is_restored_as_the_bright_one():
+    bright = PHOTO * 0.95 / PHOTO.max()
+    whole, dim = sharpen(bright, FOUND), sharpen(bright / 16, FOUND)
+    assert not dim.kept
+    np.testing.assert_allclose(16 * dim.image, whole.image, atol=1e-9)
+    assert 16 * dim.residual == pytest.approx(whole.residual)
+
+
 def test_the_path_s_psf_is_taken_where_the_free_one_does_not_fit():
     speckled = PATH.psf(64) + 0.002 * np.random.default_rng(0).random((64, 64))
     found = sharpen(PHOTO, replace(FOUND, psf=speckled / speckled.sum()))

@@ -243,6 +243,15 @@ def test_colours_are_searched_on_their_luminance():
     np.testing.assert_allclose(search.seen[0][0], photo.mean(axis=2))
 
 
+def test_the_search_sees_the_same_photo_whatever_its_exposure():
+    photo = noise(64, 64)
+    searched = [found_in(exposure * photo)[1].seen[0] for exposure in (0.9, 1 / 4, 1 / 64)]
+    np.testing.assert_allclose(searched[1], searched[0], rtol=1e-12)
+    np.testing.assert_allclose(searched[2], searched[0], rtol=1e-12)
+    bright = photo / photo.max()
+    np.testing.assert_array_equal(found_in(bright)[1].seen[0][0], bright)
+
+
 def test_crops_without_texture_are_left_out():
     """A burnt-out sky has no noise either: its spectrum is 0, and nothing can be said of it."""
     photo = np.full((500, 700), 1.0)

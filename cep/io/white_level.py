@@ -1,0 +1,102 @@
+"""Code value of white in a photo's file: cameras of fewer bits than their files have, or full below their last code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motdiff.crops import CLIPPED_LEVEL
+from motdiff.estimators.kernel_score import noise_sigma
+
+__all__ = ["WhiteLevel", "white_level"]
+
+_DEPTHS = (8, 10, 12)  # bits of cameras whose photo in a 16-bit file is too dark for any other
+_UNSURE_DEPTH = 14  # a photo with light of a quarter of full scale may be one of 16 bits
+_LEAST_CODES = 16  # that a photo holds; a mask or a chart has fewer
+_WINDOW = 512  # parts of the range: what is saturated lies within one
+_WINDOWS_BELOW = 8
+_PILED = 10.0  # times as many pixels as in a window below
+_LEAST_SATURATED = 1e-3  # share of the samples
+_LEAST_NOISE = 0.5  # of a photo whose flat top is no part of a drawing, code values
+_CHUNK = 2**22
+
+
+@dataclass(frozen=True)
+class WhiteLevel:
+    """Code value that stands for value 1.
+
+    Attributes
+    ----------
+    code : int
+    assumption : str
+        What was assumed from the values, without a full stop; empty where nothing was.
+    """
+
+    code: int
+    assumption: str = ""
+
+
+def white_level(codes: NDArray[Any]) -> WhiteLevel:
+    """Find the code value of white from those that a photo holds.
+
+    Many equal values at the top of a noisy photo are saturated. A 16-bit file of consecutive values up to 4095 at most
+    holds the code values of 8, 10 or 12 bits: as light of 16 bits, it would be below 6 % of full scale throughout.
+
+    Parameters
+    ----------
+    codes : (H, W) or (H, W, C) uint8 or uint16 array
+
+    Returns
+    -------
+    WhiteLevel
+    """
+    full = int(np.iinfo(codes.dtype).max)
+    largest = int(codes.max())
+    if largest >= CLIPPED_LEVEL * full:
+        return WhiteLevel(full)
+    flat = codes.reshape(-1)
+    parts = (flat[start : start + _CHUNK] for start in range(0, flat.size, _CHUNK))
+    histogram = np.sum([np.bincount(part, minlength=full + 1) for part in parts], axis=0)
+    held = np.flatnonzero(histogram)
+    if held.size <= _LEAST_CODES:
+        return WhiteLevel(full)
+    gap = int(np.diff(held).min())
+    if _is_saturated(histogram, largest, gap) and _noise(codes) > _LEAST_NOISE * gap:
+        share = histogram[largest - _window(largest, gap) + 1 :].sum() / histogram.sum()
+        return WhiteLevel(largest, f"{share:.1%} of its values are at its largest, {largest}: taken as saturated")
+    if full == 255 or gap > 1 or largest >= 2**_UNSURE_DEPTH:
+        return WhiteLevel(full)
+    bits = next((depth for depth in _DEPTHS if largest < 2**depth), None)
+    if bits is None:
+        times = 2 ** (16 - _UNSURE_DEPTH)
+        hint = f"if its camera has {_UNSURE_DEPTH} bits, it is {times} times brighter: multiply its values by {times}"
+        return WhiteLevel(full, f"no value exceeds {largest} of {full}; {hint}")
+    return WhiteLevel(
+        2**bits - 1,
+        f"no value exceeds {largest} of {full}: taken as {bits}-bit values, white at {2**bits - 1}; "
+        "if it is so dark, save it as floating point",
+    )
+
+
+def _window(largest: int, gap: int) -> int:
+    return max(gap, largest // _WINDOW)
+
+
+def _is_saturated(histogram: NDArray[np.int64], largest: int, gap: int) -> bool:
+    """Whether the values pile up at the largest, above others that are all there."""
+    window = _window(largest, gap)
+    end = largest - window + 1
+    piled, below = int(histogram[end:].sum()), histogram[max(0, end - _WINDOWS_BELOW * window) : end]
+    there = 2 * gap * np.count_nonzero(below) >= below.size
+    return bool(
+        there and piled > _LEAST_SATURATED * histogram.sum() and piled > _PILED * float(below.sum()) / _WINDOWS_BELOW
+    )
+
+
+def _noise(codes: NDArray[Any]) -> float:
+    """Estimate the standard deviation of the noise, code values."""
+    channel = codes if codes.ndim == 2 else codes[:, :, min(1, codes.shape[2] - 1)]
+    return noise_sigma(channel.astype(np.float64))
