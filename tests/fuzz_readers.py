@@ -224,15 +224,15 @@ def _webp_seeds():
     return [_encoded(".webp", _scene(), cv2.IMWRITE_WEBP_QUALITY, quality) for quality in (80, 101)]
 
 
-def dng(cfa):
-    """Encode a mosaic (H, W) uint16, RGGB, as a DNG whose camera sees sRGB's primaries."""
+def dng(cfa, *, filters=(0, 1, 1, 2)):
+    """Encode a mosaic (H, W) uint16, RGGB unless given, as a DNG whose camera sees sRGB's primaries."""
     import tifffile
 
     to_camera = (3.2404542, -1.5371385, -0.4985314, -0.9692660, 1.8760108, 0.0415560, 0.0556434, -0.2040259, 1.0572252)
     matrix = [part for value in to_camera for part in (round(value * 10**7), 10**7)]
     tags = [
         (33421, "H", 2, (2, 2), True),  # CFARepeatPatternDim
-        (33422, "B", 4, (0, 1, 1, 2), True),  # CFAPattern
+        (33422, "B", 4, filters, True),  # CFAPattern
         (50706, "B", 4, (1, 4, 0, 0), True),  # DNGVersion
         (50708, "s", 0, "test", True),  # UniqueCameraModel
         (50714, "H", 1, 0, True),  # BlackLevel

@@ -90,7 +90,8 @@ class Mosaic:
     Attributes
     ----------
     green : (N,) uint16
-        Code values of the pixels under the first green filter; of all pixels where the sensor has no such filter.
+        Code values of the pixels under the first green filter; where the sensor has none, of all pixels like the
+        first.
     black_dn : float
         Code value without light, as the file states it.
     white_dn : int
@@ -406,10 +407,11 @@ def read_mosaic(path: Path | str) -> Mosaic:
         if raw.raw_image_visible.ndim != 2:
             raise ValueError(f"{path}: holds colours that were interpolated, and not the sensor's own values")
         colours = raw.raw_colors_visible
-        chosen = colours == (1 if (colours == 1).any() else 0)
+        colour = 1 if (colours == 1).any() else int(colours.flat[0])
+        blacks = raw.black_level_per_channel
         return Mosaic(
-            green=np.asarray(raw.raw_image_visible[chosen], dtype=np.uint16),
-            black_dn=float(raw.black_level_per_channel[int(colours[chosen][0])]),
+            green=np.asarray(raw.raw_image_visible[colours == colour], dtype=np.uint16),
+            black_dn=float(blacks[colour if colour < len(blacks) else 0]),  # LibRaw's colour of no filters is 6
             white_dn=int(raw.white_level),
         )
 

@@ -103,6 +103,17 @@ def test_a_raw_files_own_values_are_measured(cep, frames):
     assert "another kind" in cep.refuses("camera", "estimate", "flata.dng", "lowb.png", "--force")
 
 
+@pytest.mark.parametrize("filters", [(0, 0, 0, 0), (2, 2, 2, 2)])
+def test_a_mosaic_of_one_colour_is_read(tmp_path, filters):
+    """Of a camera without filters, LibRaw says that every pixel has colour 6."""
+    pytest.importorskip("rawpy")
+    values = np.random.default_rng(0).integers(2000, 60000, (40, 56)).astype(np.uint16)
+    (tmp_path / "flat.dng").write_bytes(dng(values, filters=filters))
+    mosaic = read_mosaic(tmp_path / "flat.dng")
+    np.testing.assert_array_equal(np.sort(mosaic.green), np.sort(values, axis=None))
+    assert mosaic.black_dn == 0
+
+
 def test_bad_frames_are_one_line(cep, frames):
     before = sorted(Path().iterdir())
 

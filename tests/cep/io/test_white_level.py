@@ -1,4 +1,4 @@
-"""Code value of white: cameras of fewer bits than their files have, saturation below the last code, and what is neither."""
+"""Code value of white: cameras of fewer bits than their files, saturation below the last code, and what is neither."""
 
 import numpy as np
 import pytest
