@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -78,9 +79,10 @@ def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:
 
 
 def exposure_gain(photo: ArrayLike) -> float:
-    """Factor that brings a dim photo to full scale without clipping it; 1 for a bright one.
+    """Factor, in whole stops, that brightens a dim photo as far as full scale allows; 1 for others.
 
-    What is searched and chosen by limits on light and noise is then the same whatever a photo's exposure.
+    What is searched and chosen by limits on light and noise then hardly depends on a photo's exposure. A power of two
+    changes no digit of a sample.
 
     Parameters
     ----------
@@ -92,10 +94,10 @@ def exposure_gain(photo: ArrayLike) -> float:
 
     Examples
     --------
-    >>> f"{exposure_gain([[0.1, 0.2]]):.2f}", exposure_gain([[0.1, 1.0]])
-    ('4.75', 1.0)
+    >>> exposure_gain([[0.05, 0.1]]), exposure_gain([[0.1, 1.0]])
+    (8.0, 1.0)
     """
-    return max(1.0, _FULL / max(float(np.max(photo, initial=0.0)), _DARKEST))
+    return max(1.0, 2.0 ** math.floor(math.log2(_FULL / max(float(np.max(photo, initial=0.0)), _DARKEST))))
 
 
 def check_size(photo: ArrayLike, *, least_px: int) -> None:

@@ -130,7 +130,7 @@ class BlindEstimator(ABC):
         with one_thread_a_call():
             whole = self._progress = Progress(self._tell)
             greys = _each(photos, lambda photo: textured_luminance(photo, least_px=self.smallest_px))
-            greys = [exposure_gain(grey) * grey for grey in greys]
+            greys = [exposure_gain(photo) * grey for photo, grey in zip(photos, greys, strict=True)]
             count = min(self._crops, max(1, _MOST_CROPS // len(photos)))
             clipped = [clipped_mask(photo) for photo in photos]
             levels: list[_Level] = []
