@@ -106,7 +106,7 @@ def deblur(
         check_image_name(target)
         claim([target], force=force, inputs=[image])
 
-        from cep.io.files import read_psf
+        from cep.io.files import load_psf
         from cep.optics.path_limits import check_resolved
         from cep.restoration import find_method, restore
         from cep.workflows.calibrate import check_photo, check_texture, estimate_motion
@@ -130,7 +130,7 @@ def deblur(
         motion = load_motion(trajectory, linear).trajectory if stated else None
         if motion is not None and shutter is not None:
             check_resolved(motion, shutter.chips)
-        kernel = None if psf is None else read_psf(psf)
+        kernel, doubts = (None, ()) if psf is None else load_psf(psf)
         photo = read_photo(image, gamma=gamma)
         blind = motion is None and kernel is None
         try:
@@ -172,7 +172,7 @@ def deblur(
         "unreliable_px": restored.unreliable_px,
         "seconds": restored.seconds,
         "seed": seed,
-        "warnings": [*photo.warnings, *restored.warnings],
+        "warnings": [*photo.warnings, *doubts, *restored.warnings],
     }
     if restored.psf_confidence is None:
         sure = "" if test is None else f" (confidence {test.confidence:.2f})"

@@ -33,6 +33,7 @@ __all__ = [
     "StoredCode",
     "code_document",
     "json_text",
+    "load_psf",
     "plain",
     "read_code",
     "read_json",
@@ -46,6 +47,9 @@ CODE_SCHEMA = "cep.code/1"
 DEMO_SCHEMA = "cep.demo/1"
 FRONT_SCHEMA = "cep.front/1"
 PSF_SUFFIXES = (".npy", ".mat", ".png")
+_OFF_MIDDLE_PX, _CODED_OFF = 1.0, 0.25  # px of an open shutter's PSF; share of the extent of a coded one's
+_OPEN_LIGHT = 0.999
+_VEIL, _VEIL_LEVEL = 0.05, 0.5  # share of the light; of the peak: that of a box is no veil
 _MAT_TEXT, _MAT_TEXT_BYTES = b"MATLAB 5.0 MAT-file, written by coded-exposure", 116  # "MAT-File Format", MathWorks
 
 
@@ -224,6 +228,12 @@ def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple
 
 
 def read_psf(path: Path | str) -> NDArray[np.float64]:
+    """Read a PSF without the warnings of :func:`load_psf`, whose errors it has too."""
+    kernel, _ = load_psf(path)
+    return kernel
+
+
+def load_psf(path: Path | str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """Read a PSF from ``.npy``, ``.mat`` or an image (whose samples are taken as linear).
 
     Of a ``.mat`` file the variable ``psf`` is read as it is; where there is none, ``f``, the kernel in Levin's files,
@@ -231,7 +241,10 @@ def read_psf(path: Path | str) -> NDArray[np.float64]:
 
     Returns
     -------
-    (S, S) float, non-negative, as stored; an image is scaled to sum 1.
+    kernel : (S, S') float
+        Non-negative, as stored; an image is scaled to sum 1.
+    warnings : tuple of str
+        Of its file; and where its light is off its middle, or does not end at its rim.
 
     Raises
     ------
@@ -242,19 +255,47 @@ def read_psf(path: Path | str) -> NDArray[np.float64]:
     """
     source = Path(path)
     suffix = source.suffix.lower()
+    warnings: tuple[str, ...] = ()
     if suffix == ".npy":
         psf = _psf_from_npy(source)
     elif suffix == ".mat":
         psf = _psf_from_mat(source)
     else:
-        psf = _psf_from_image(source)
+        psf, warnings = _psf_from_image(source)
     if psf.ndim != 2 or min(psf.shape) < 1 or psf.dtype.kind not in "fiu":
         kind = one_line(repr(psf.dtype.name))
         raise ValueError(f"{source}: a PSF is one table of real numbers, found shape {psf.shape} of {kind}")
     kernel = psf.astype(np.float64)
     if not np.isfinite(kernel).all() or kernel.min() < 0 or kernel.sum() <= 0:
         raise ValueError(f"{source}: a PSF must be finite, not negative and not all zero")
-    return np.asarray(kernel)
+    return kernel, (*warnings, *(f"{source}: {doubt}" for doubt in _psf_doubts(kernel)))
+
+
+def _psf_doubts(kernel: NDArray[np.float64]) -> list[str]:
+    """List what in a PSF is against its conventions, and may still be meant."""
+    light = float(kernel.sum())
+    rows, columns = np.nonzero(kernel)
+    extent = max(np.ptp(rows), np.ptp(columns)) + 1
+    y, x = (
+        float(kernel.sum(axis=1 - axis) @ np.arange(kernel.shape[axis])) / light - kernel.shape[axis] // 2
+        for axis in (0, 1)
+    )
+    doubts = []
+    # the open parts of a code lie off the middle of the path's time
+    if max(abs(x), abs(y)) > (_OFF_MIDDLE_PX if light > _OPEN_LIGHT else max(_OFF_MIDDLE_PX, extent * _CODED_OFF)):
+        doubts.append(
+            f"its centre of mass is ({x:+.1f}, {y:+.1f}) px (x, y) off its middle, which stands for no displacement: "
+            f"the restored photo moves by ({-x:+.1f}, {-y:+.1f}) px; centre it if that is not meant"
+        )
+    rim = np.concatenate([kernel[0], kernel[-1], kernel[1:-1, 0], kernel[1:-1, -1]])
+    level = float(np.median(rim))
+    veil = level * kernel.size / light
+    if veil > _VEIL and level < _VEIL_LEVEL * kernel.max():
+        doubts.append(
+            f"its rim is not 0 but {level:.2g}: such a veil over all of it is {veil:.0%} of its light; subtract the "
+            "background, or give the whole PSF if it is cut off"
+        )
+    return doubts
 
 
 def _psf_from_npy(source: Path) -> NDArray[Any]:
@@ -272,8 +313,8 @@ def _psf_from_mat(source: Path) -> NDArray[Any]:
     return variables["psf"] if "psf" in variables else levin_psf(variables["f"])
 
 
-def _psf_from_image(source: Path) -> NDArray[Any]:
-    pixels = read_photo(source, gamma="linear", min_side_px=1).pixels
-    grey = luminance(pixels)
+def _psf_from_image(source: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
+    photo = read_photo(source, gamma="linear", min_side_px=1)
+    grey = luminance(photo.pixels)
     total = float(grey.sum())
-    return np.asarray(grey / total) if total > 0 else grey
+    return (np.asarray(grey / total) if total > 0 else grey), photo.warnings

@@ -11,10 +11,12 @@ from hypothesis.extra.numpy import arrays
 from scipy.io import loadmat, savemat
 from scipy.signal import convolve2d
 
-from cep.io.files import StoredCode, json_text, plain, read_code, read_psf, write_code, write_psf
-from cep.io.images import write_image
+from cep.io.files import StoredCode, json_text, load_psf, plain, read_code, read_psf, write_code, write_psf
+from cep.io.images import read_image, write_image
 from cep.optics.code import ShutterCode
 from motdiff.evaluation.sets import levin_photo
+from motdiff.io.trajectories import read_motion
+from motdiff.trajectory import Trajectory
 
 
 @given(st.text("01", min_size=1, max_size=80).filter(lambda bits: "1" in bits), st.integers(1, 10**12))
@@ -168,6 +170,48 @@ def test_an_impossible_psf_is_refused(tmp_path, psf, message, suffix):
         savemat(path, {"psf": psf})
     with pytest.raises(ValueError, match=message):
         read_psf(path)
+
+
+def shifted_line(x, y, *, side=33, duty=1.0):
+    psf = Trajectory.straight(12).psf(side)
+    return duty * np.roll(psf, (y, x), axis=(0, 1))
+
+
+@pytest.mark.parametrize(
+    ("psf", "said"),
+    [
+        (shifted_line(0, 0), []),
+        (np.ones((1, 15)), []),
+        (np.ones((9, 9)), []),
+        (np.ones((8, 8)), []),  # its middle is half a pixel off
+        (shifted_line(2, 0, duty=0.5), []),  # as the open parts of a code may be
+        (shifted_line(5, -3), ["its centre of mass is (+5.0, -3.0) px (x, y) off"]),
+        (shifted_line(6, 0, duty=0.5), ["its centre of mass is (+6.0, +0.0) px"]),
+        (shifted_line(0, 0) + 5e-4, ["its rim is not 0 but 0.0005"]),
+        (shifted_line(4, 0) + 5e-4, ["off its middle", "its rim is not 0"]),
+    ],
+)
+def test_a_psf_off_its_middle_or_with_a_veil_is_told(tmp_path, psf, said):
+    np.save(tmp_path / "psf.npy", psf)
+    kernel, warnings = load_psf(tmp_path / "psf.npy")
+    np.testing.assert_array_equal(kernel, psf)
+    assert len(warnings) == len(said)
+    for text, warning in zip(said, warnings, strict=True):
+        assert warning.startswith(f"{tmp_path / 'psf.npy'}: ")
+        assert text in warning
+
+
+def test_a_restored_photo_moves_as_the_warning_of_its_psf_says(cep, workplace):
+    psf = read_motion("trajectory.json").trajectory.psf(33)
+    photos = {}
+    for name, x, y in (("centred", 0, 0), ("off", 4, -2)):
+        np.save(f"{name}.npy", np.roll(psf, (y, x), axis=(0, 1)))
+        found = cep.succeeds("deblur", "blurred.png", "--psf", f"{name}.npy", "-o", f"{name}.png")
+        assert [("(-4.0, +2.0) px" in warning) for warning in found["warnings"]] == [True] * (name == "off")
+        photos[name] = read_image(f"{name}.png")
+    inner = (slice(40, -40), slice(40, -40))
+    moved = np.roll(photos["centred"], (2, -4), axis=(0, 1))
+    assert np.corrcoef(moved[inner].ravel(), photos["off"][inner].ravel())[0, 1] > 0.98
 
 
 def test_broken_psf_files(tmp_path):
