@@ -114,6 +114,13 @@ def test_a_mosaic_of_one_colour_is_read(tmp_path, filters):
     assert mosaic.black_dn == 0
 
 
+def test_a_stack_of_frames_is_told(cep, frames):
+    stacked = [cv2.imread("higha.png", cv2.IMREAD_UNCHANGED)] * 2
+    cv2.imwritemulti("stack.tif", stacked)
+    found = cep.succeeds("camera", "estimate", *frames[:-2], "stack.tif", frames[-1], *DARK)
+    assert found["warnings"][0].startswith("stack.tif: holds 2 pages, the first was read")
+
+
 def test_bad_frames_are_one_line(cep, frames):
     before = sorted(Path().iterdir())
 
