@@ -82,29 +82,33 @@ def main() -> None:
     told = ""
     while not told.rstrip().endswith("}"):
         told += server.stdout.readline()
-    address = json.loads(told)["address"]
+    home = urlsplit(json.loads(told)["address"])
+    cookie = send(home.netloc, "GET", f"/?{home.query}", {}, [])[1]["set-cookie"].split(";")[0]  # the key works once
     peak = Peak(server.pid)
     print(f"{os.cpu_count()} cores; load before {os.getloadavg()[0]:.1f}: the machine is shared")
     try:
-        in_browser(address, options.changes, peak)
-        refused(address, options.requests)
+        in_browser(home.netloc, cookie, options.changes, peak)
+        refused(home.netloc, cookie, options.requests)
     finally:
         peak.stop()
         server.send_signal(signal.SIGINT)
         print(f"exit code {server.wait(20)}; load after {os.getloadavg()[0]:.1f}")
 
 
-def in_browser(address: str, changes: int, peak: Peak) -> None:
+def in_browser(netloc: str, cookie: str, changes: int, peak: Peak) -> None:
     from playwright.sync_api import sync_playwright
 
+    address = f"http://{netloc}/"
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
         context = browser.new_context(viewport={"width": 1440, "height": 1000})
+        name, _, value = cookie.partition("=")
+        context.add_cookies([{"name": name, "value": value, "url": address}])
         page = context.new_page()
         page.goto(address)
         wait(page)
         begun = time.perf_counter()
-        page.goto(address.split("?")[0])
+        page.goto(address)
         paint = page.evaluate("performance.getEntriesByName('first-contentful-paint')[0]?.startTime")
         wait(page)
         whole = time.perf_counter() - begun
@@ -121,7 +125,7 @@ def in_browser(address: str, changes: int, peak: Peak) -> None:
         page.evaluate(SEARCH)
         time.sleep(4)
         other = context.new_page()
-        other.goto(address.split("?")[0] + "#motion=example:shake")
+        other.goto(f"{address}#motion=example:shake")
         wait(other)
         row("flip a chip on a second page while the first one searches", other, FLIPS, changes, peak.pid)
         running = page.locator("#stop").is_visible()
@@ -159,24 +163,21 @@ def large_photo(page: object, peak: Peak) -> None:
         print(f"photo of {megapixels:.1f} MP: motion after {seconds:.1f} s, memory at most {peak.most:.0f} MB")
 
 
-def refused(address: str, count: int) -> None:
+def refused(netloc: str, cookie: str, count: int) -> None:
     """Send hostile requests; each must be answered with 4xx, and nothing may be left behind."""
     from hostile_requests import hostile
 
-    home = urlsplit(address)
-    first = send(home.netloc, "GET", f"/?{home.query}", {}, [])
-    cookie = first[1]["set-cookie"].split(";")[0]
     before, rng, codes = left(), np.random.default_rng(1), {}
     for number in range(count):
         method, path, changed, chunks = hostile(rng)
-        headers = {"host": home.netloc, "origin": f"http://{home.netloc}", "cookie": cookie}
+        headers = {"host": netloc, "origin": f"http://{netloc}", "cookie": cookie}
         headers |= {name: value for name, value in changed.items() if value is not None}
         for name in [name for name, value in changed.items() if value is None]:
             headers.pop(name)
         half = method == "POST" and number % 5 == 0
-        status = send(home.netloc, method, path, headers, chunks, half=half)[0]
+        status = send(netloc, method, path, headers, chunks, half=half)[0]
         codes[status] = codes.get(status, 0) + 1
-    alive = send(home.netloc, "GET", "/", {"host": home.netloc, "cookie": cookie}, [])[0]
+    alive = send(netloc, "GET", "/", {"host": netloc, "cookie": cookie}, [])[0]
     wrong = {status for status in codes if status is not None and not 400 <= status < 500}
     print(f"{count} hostile requests: {dict(sorted(codes.items(), key=str))} (None: half an upload, broken off)")
     print(f"answers other than 4xx: {wrong or 'none'}; files left: {left() - before or 'none'}; the page then: {alive}")

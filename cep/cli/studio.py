@@ -28,7 +28,7 @@ def studio(
         Path | None,
         typer.Option(
             "--extract", metavar="FOLDER",
-            help="Instead of the page: write FILE's trajectory.json, code.json and commands.sh.",
+            help="Instead of the page: write the trajectory.json, code.json and commands.sh of FILE's state.",
         ),
     ] = None,
     force: Force = False,
@@ -39,7 +39,7 @@ def studio(
 
     Drop a blurred photo or choose a motion, give camera and light, and see the verdict, MTF, certified minimum, noise
     and the simulated photo follow every chip. Search, compare, export, play on a controller. The page is served on
-    127.0.0.1 alone, to who has the key in the printed address. Ctrl-C ends it.
+    127.0.0.1 alone, to the browser that opens the printed address first: its key works once. Ctrl-C ends it.
 
     Example: cep studio
 
@@ -64,21 +64,23 @@ def studio(
 
     opened = None
     if file is not None:
-        from cep.io.files import read_json
+        from cep.studio.documents import stored_state
 
-        opened = read_json(file, schema="cep.studio/1").get("state")
-        if not isinstance(opened, dict):
-            raise ValueError(f"{file}: has no state, as the studio saves it")
+        opened = stored_state(file)
 
     def ready(address: str) -> None:
         if as_json:
             finish({"address": address, "seed": seed}, as_json=True, show=lambda _console: None)
             sys.stdout.flush()
         else:
-            print(f"The studio is at {address}\nCtrl-C ends it.", file=sys.stderr, flush=True)  # noqa: T201
-        if not no_browser:
-            import webbrowser
+            print(  # noqa: T201
+                f"The studio is at {address}\nThis address opens it once, in one browser. Ctrl-C ends it.",
+                file=sys.stderr, flush=True,
+            )  # fmt: skip
 
-            webbrowser.open(address)
+    def browse(page: str) -> None:
+        import webbrowser
 
-    serve(port=port, opened=opened, on_ready=ready)
+        webbrowser.open(page)
+
+    serve(port=port, opened=opened, on_ready=ready, browse=None if no_browser else browse)

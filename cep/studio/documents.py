@@ -7,17 +7,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import cep
 from cep.io.files import StoredCode, json_text, read_code, read_json, stored_device
 from cep.io.outputs import claim_folder, new_folder
-from cep.studio.state import FieldError, path_fields
+from cep.studio.fields import FieldError
+from cep.studio.state import path_fields, read_state, saved_setting
+from cep.studio.views import STUDIO_SCHEMA, Views
 from cep.workflows.catalogue import shutter_name
 from cep.workflows.motions import gyro_motion, stored_paths
 
-__all__ = ["EXTRACTED", "extract", "opened_document", "opened_gyro"]
+__all__ = ["EXTRACTED", "extract", "opened_document", "opened_gyro", "stored_state"]
 
 EXTRACTED = ("trajectory.json", "code.json", "commands.sh")
 """Files of :func:`extract`."""
+
+_PATH_PX = 0.01  # by which a motion may differ that another version of the library drew
 
 
 def opened_document(file: Path) -> dict[str, Any]:
@@ -42,10 +48,8 @@ def opened_document(file: Path) -> dict[str, Any]:
             return {"paths": described, "path_error": error_px}
         if schema == "cep.code/1":
             return _opened_code(read_code(file))
-        if schema == "cep.studio/1":
-            state = read_json(file, schema="cep.studio/1").get("state")
-            if isinstance(state, dict):
-                return {"state": state}
+        if schema == STUDIO_SCHEMA:
+            return {"state": stored_state(file)}
     except (ValueError, OSError) as error:  # its name is the server's, and says nothing
         raise FieldError("open_file", str(error).replace(f"{file}: ", "").replace(str(file), "the file")) from None
     raise FieldError("open_file", "the file is no trajectory.json, code.json or studio.json")
@@ -81,21 +85,27 @@ def opened_gyro(file: Path, given: Mapping[str, str]) -> dict[str, Any]:
 def extract(file: Path, folder: Path, *, force: bool = False) -> list[Path]:
     """Write the motion, the code and the command lines of a studio file, all or none.
 
+    All three are made from the file's state: whoever sent the file wrote its command lines, which a shell would run.
+
     Raises
     ------
     ValueError
-        If the file is no studio file, or the folder holds such files and ``force`` is not given.
+        If the file is no studio file, its trajectory or code is not the one of its state, or the folder holds such
+        files and ``force`` is not given.
     """
-    document = read_json(file, schema="cep.studio/1")
-    parts = {name: document.get(name.removesuffix(".json")) for name in EXTRACTED[:2]}
-    commands = document.get("commands")
-    if not all(isinstance(part, dict) for part in parts.values()) or not isinstance(commands, list):
-        raise ValueError(f"{file}: needs trajectory, code and commands, as the studio saves them")
+    document = read_json(file, schema=STUDIO_SCHEMA)
+    state = _checked(document["state"], file)
     claim_folder(folder, EXTRACTED, force=force)
+    try:
+        saved = Views().saved(saved_setting(state), state)
+    except FieldError as error:
+        raise ValueError(f"{file}: state.{error.field}: {error}") from None
+    if (wrong := _difference(document, saved)) is not None:
+        raise ValueError(f"{file}: {wrong}")
     with new_folder(folder, EXTRACTED, force=force) as made:
-        for name, part in parts.items():
-            (made / name).write_text(json_text(part), encoding="utf-8")
-        (made / EXTRACTED[2]).write_text("".join(f"{line}\n" for line in commands), encoding="utf-8")
+        for name in EXTRACTED[:2]:
+            (made / name).write_text(json_text(saved[name.removesuffix(".json")]), encoding="utf-8")
+        (made / EXTRACTED[2]).write_text("".join(f"{line}\n" for line in saved["commands"]), encoding="utf-8")
     return [folder / name for name in EXTRACTED]
 
 
@@ -111,6 +121,45 @@ def _opened_code(stored: StoredCode) -> dict[str, Any]:
         f"its code was searched for the shutter {profile.name}, whose limits the studio cannot check: use cep export"
     )
     return {**found, "device": "", "warning": warning}
+
+
+def stored_state(file: Path) -> dict[str, Any]:
+    """Read the state of a page out of a studio file.
+
+    Raises
+    ------
+    ValueError
+        If the file is no studio file, or a field of its state is malformed.
+    OSError
+        If the file cannot be read.
+    """
+    return _checked(read_json(file, schema=STUDIO_SCHEMA)["state"], file)
+
+
+def _checked(state: object, file: Path) -> dict[str, Any]:
+    try:
+        return read_state(state)
+    except FieldError as error:
+        raise ValueError(f"{file}: state.{error.field}: {error}") from None
+
+
+def _difference(document: Mapping[str, Any], saved: Mapping[str, Any]) -> str | None:
+    """Say where the trajectory or the code of a studio file is not the one of its state."""
+    again = "save it in the studio again"
+    path, code = document.get("trajectory", saved["trajectory"]), document.get("code", saved["code"])
+    for name in "txy":
+        samples, others = np.array(path.get(name, []), dtype=np.float64), np.array(saved["trajectory"][name])
+        if samples.shape != others.shape or np.abs(samples - others).max() > _PATH_PX:
+            return f"trajectory.{name}: is not that of the state's motion; {again}"
+    if path.get("direction", "unknown") != saved["trajectory"]["direction"]:
+        return f"trajectory.direction: is not that of the state's motion; {again}"
+    for name in ("bits", "chip_ns"):
+        if code.get(name) != saved["code"][name]:
+            return f"code.{name}: is not that of the state's code; {again}"
+    problem = code.get("problem")
+    if isinstance(problem, dict) and problem.get("device") not in (None, saved["code"]["problem"].get("device")):
+        return f"code.problem.device: is not the state's shutter; {again}"
+    return None
 
 
 def _described(path: cep.Trajectory) -> dict[str, Any]:

@@ -19,14 +19,16 @@ from cep.studio import work
 
 __all__ = ["BusyError", "Job", "Jobs"]
 
-_GRACE_S = 5.0  # a page that is loaded again is the same page
+_GRACE_S = 5.0  # a page that is loaded again is the same page, and one that has just been opened may not listen yet
+_LAST_S = 120.0  # to measure the best so far
 _MALLOC = {"MALLOC_ARENA_MAX": "2", "MALLOC_MMAP_THRESHOLD_": "1000000"}
 """glibc gives large arrays back when they are freed: an estimate then takes 60 MB less."""
-_STOP_S = 3.0  # to put a shutter's controller to rest
+_STOP_S = 3.0  # to put a shutter's controller to rest, or to end
+_MOST_LISTENERS = 64
 
 
 class BusyError(Exception):
-    """Another job is running."""
+    """Another job is running, or too many pages listen."""
 
 
 @dataclass
@@ -82,6 +84,7 @@ class Jobs:
         self._job: Job | None = None
         self._listeners: dict[str, set[asyncio.Queue[Job | None]]] = {}
         self._leaving: dict[str, asyncio.TimerHandle] = {}
+        self._stopping: asyncio.TimerHandle | None = None
         self._loop: asyncio.AbstractEventLoop | None = None  # of the listeners
         self.closing = False
 
@@ -96,7 +99,7 @@ class Jobs:
             forkserver.ensure_running()
 
     def start(self, page: str, kind: str, order: Mapping[str, Any]) -> Job:
-        """Start a job for a page; an automatic one gives way.
+        """Start a job for a page; an automatic one gives way. It ends where the page does not listen soon.
 
         Raises
         ------
@@ -120,18 +123,21 @@ class Jobs:
                 loop.call_soon_threadsafe(self._told, job, message)
 
         threading.Thread(target=_listen, args=(ours, tell), daemon=True).start()
+        if page not in self._listeners:
+            self._await(page)
         self._publish(job)
         return job
 
     def stop(self, page: str) -> None:
-        """Ask the job of a page to come to its end: a search keeps the best so far."""
+        """Ask the job of a page to come to its end: a search keeps the best so far, and has a while for it."""
         job = self._job
-        if job is None or job.page != page or job.state != "running":
+        if job is None or job.page != page or job.state != "running" or self._stopping is not None:
             return
         if work.KINDS[job.kind].keeps_best:
             job.note = "stopping: the best so far is measured"
             with suppress(ProcessLookupError, TypeError):
                 os.kill(self._process.pid, signal.SIGINT)
+            self._stopping = asyncio.get_running_loop().call_later(_LAST_S, self._end, "stopped")
             self._publish(job)
         else:
             self._end("stopped")
@@ -139,6 +145,16 @@ class Jobs:
     def current(self, page: str) -> Job | None:
         """Return the last job of a page."""
         return self._job if self._job is not None and self._job.page == page else None
+
+    def check_listeners(self) -> None:
+        """Refuse one more listener where there are too many.
+
+        Raises
+        ------
+        BusyError
+        """
+        if sum(map(len, self._listeners.values())) >= _MOST_LISTENERS:
+            raise BusyError("too many pages listen; close some of them")
 
     def listen(self, page: str) -> asyncio.Queue[Job | None]:
         """Return a queue of what happens to a page's job, beginning with what is."""
@@ -156,7 +172,7 @@ class Jobs:
         listeners.discard(queue)
         if not listeners:
             self._listeners.pop(page, None)
-            self._leaving[page] = asyncio.get_running_loop().call_later(_GRACE_S, self._left, page)
+            self._await(page)
 
     def dismiss(self) -> None:
         """Let every listener know that nothing more comes; may be called in a signal's handler."""
@@ -176,6 +192,12 @@ class Jobs:
         if self._job is not None and self._job.state == "running":
             self._end("stopped")
 
+    def _await(self, page: str) -> None:
+        """Give a page without listeners its time."""
+        if (timer := self._leaving.pop(page, None)) is not None:
+            timer.cancel()
+        self._leaving[page] = asyncio.get_running_loop().call_later(_GRACE_S, self._left, page)
+
     def _left(self, page: str) -> None:
         self._leaving.pop(page, None)
         if self._job is not None and self._job.page == page and self._job.state == "running":
@@ -186,14 +208,20 @@ class Jobs:
         job, process = self._job, self._process
         assert job is not None
         job.state = state
+        self._settle()
         if process.is_alive():
             if work.KINDS[job.kind].needs_rest:
                 with suppress(ProcessLookupError):
                     os.kill(process.pid, signal.SIGINT)
                 process.join(_STOP_S)
             process.kill()
-            process.join()
+            process.join(_STOP_S)
         self._publish(job)
+
+    def _settle(self) -> None:
+        if self._stopping is not None:
+            self._stopping.cancel()
+            self._stopping = None
 
     def _told(self, job: Job, message: Mapping[str, Any] | None) -> None:
         if job.state != "running":
@@ -202,6 +230,8 @@ class Jobs:
             job.state, job.error = "failed", {"field": "job", "message": "the work ended without a result"}
         for name, value in (message or {}).items():
             setattr(job, name, value)
+        if job.state != "running":
+            self._settle()
         self._publish(job)
 
     def _publish(self, job: Job) -> None:

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import asyncio
 import hmac
+import html
+import os
 import secrets
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
+from pathlib import Path
 from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-__all__ = ["MOST_JSON_BYTES", "MOST_UPLOAD_BYTES", "Gate", "Keys", "TooLargeError"]
+__all__ = ["Gate", "Keys", "LateError", "TooLargeError", "too_large"]
 
-MOST_JSON_BYTES = 256 * 1024
-MOST_UPLOAD_BYTES = 256 * 1024 * 1024
-_UPLOADS = ("/api/upload/",)
+_MOST_BYTES = 256 * 1024
+_MOST_UPLOADED = {
+    "/api/upload/photo": 256 * 1024**2,
+    "/api/upload/gyro": 32 * 1024**2,
+    "/api/upload/document": 4 * 1024**2,  # parsed, JSON takes up to 30 times as much memory
+}
+_MOST_BODY_S = 60.0
 _HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
@@ -30,13 +38,25 @@ _HEADERS = {
     "Cache-Control": "no-store",
 }
 _NO_KEY = "open the address that cep studio printed: it has the key to this page"
+_SPENT = "the key has been used, and works once: go on in the browser that used it, or start cep studio again"
+_LEADING = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="referrer" content="no-referrer">
+<meta http-equiv="refresh" content="0; url={address}">
+<title>Coded exposure studio</title>
+</head>
+<body><p><a href="{address}">Open the studio</a></p></body>
+</html>
+"""
 
 
 def _secret() -> str:
     return secrets.token_urlsafe(32)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Keys:
     """Secrets of one run, and the address that it is bound to.
 
@@ -44,14 +64,40 @@ class Keys:
     ----------
     port : int
     token : str
-        In the address that is printed; it is exchanged for the cookie.
+        In the address that is printed; it is exchanged for the cookie, once.
     session : str
         Value of the cookie.
+    spent : bool
+        Whether the token has been exchanged.
     """
 
     port: int
     token: str = field(default_factory=_secret)
     session: str = field(default_factory=_secret)
+    spent: bool = field(default=False, init=False)
+    _page: Path | None = field(default=None, init=False)
+
+    def spend(self, given: str) -> bool:
+        """Return whether this is the token, for the first time."""
+        if self.spent or not hmac.compare_digest(given.encode(), self.token.encode()):
+            return False
+        self.spent = True
+        if self._page is not None:
+            self._page.unlink(missing_ok=True)
+        return True
+
+    def page_in(self, folder: Path) -> Path:
+        """Write a page that leads to the studio, for this user's eyes alone; it goes when the token is spent.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        self._page = folder / "open.html"
+        with open(os.open(self._page, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+            file.write(_leading(self.address))
+        return self._page
 
     @property
     def address(self) -> str:
@@ -115,23 +161,26 @@ class Gate:
         writes = scope["method"] not in ("GET", "HEAD")
         if (writes or origin is not None) and origin not in {f"http://{host}" for host in keys.hosts}:
             return PlainTextResponse("403: requests come from the studio's own page alone", 403)
-        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+        foreign = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
+        tokens = parse_qs(scope["query_string"].decode("latin-1")).get("token", []) if scope["path"] == "/" else []
+        if len(tokens) == 1 and scope["method"] == "GET" and not _is_prefetch(headers) and keys.spend(tokens[0]):
+            return self._with_cookie(linked=foreign)
+        if foreign:
             return PlainTextResponse("403: requests come from the studio's own page alone", 403)
-        if scope["path"] == "/" and not writes:
-            given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
-            if given:
-                if len(given) == 1 and hmac.compare_digest(given[0].encode(), keys.token.encode()):
-                    return self._with_cookie()
-                return PlainTextResponse(f"403: the key is wrong; {_NO_KEY}", 403)
         if not self._knows(headers):
-            return PlainTextResponse(f"403: {_NO_KEY}", 403)
+            return PlainTextResponse(f"403: {_SPENT if tokens and keys.spent else _NO_KEY}", 403)
+        if not writes and ("transfer-encoding" in headers or headers.get("content-length", "0") != "0"):
+            return PlainTextResponse("400: this address takes no body", 400)
+        if tokens:  # the printed address, followed again in the browser that has the cookie
+            return RedirectResponse("/", 303)
         length = headers.get("content-length")
-        if length is not None and (not length.isdigit() or int(length) > self._most(scope)):
-            return _too_large(self._most(scope))
+        if length is not None and (not length.isdecimal() or len(length) > 15 or int(length) > self._most(scope)):
+            return too_large(self._most(scope))
         return None
 
-    def _with_cookie(self) -> Response:
-        answer = RedirectResponse("/", 303)
+    def _with_cookie(self, *, linked: bool) -> Response:
+        """Lead on to the page, from another page's link by a page: redirected, a browser would hold the cookie back."""
+        answer = HTMLResponse(_leading("/")) if linked else RedirectResponse("/", 303)
         answer.set_cookie(self._keys.cookie, self._keys.session, httponly=True, samesite="strict", path="/")
         return answer
 
@@ -146,14 +195,19 @@ class Gate:
 
     @staticmethod
     def _most(scope: Scope) -> int:
-        return MOST_UPLOAD_BYTES if scope["path"].startswith(_UPLOADS) else MOST_JSON_BYTES
+        return _MOST_UPLOADED.get(scope["path"], _MOST_BYTES)
 
 
 class TooLargeError(Exception):
     """The body of a request is larger than is read."""
 
 
-def _too_large(most: int) -> Response:
+class LateError(Exception):
+    """The body of a request did not come in time."""
+
+
+def too_large(most: int) -> Response:
+    """Return the answer to a body of more than so many bytes."""
     message = f"at most {most // 1024} KB are read"
     if most >= 1024 * 1024:
         message = f"at most {most // 1024 // 1024} MB are read"
@@ -161,16 +215,32 @@ def _too_large(most: int) -> Response:
 
 
 def _limited(receive: Receive, most: int) -> Receive:
-    """Count the bytes of a body as they come: a length may be missing or a lie."""
-    seen = 0
+    """Count the bytes of a body as they come, and the time: a length may be a lie, and the rest never come."""
+    seen, whole, ends = 0, False, asyncio.get_running_loop().time() + _MOST_BODY_S
 
     async def counted() -> Message:
-        nonlocal seen
-        message = await receive()
+        nonlocal seen, whole
+        if whole:  # what comes after the body is that the client has gone
+            return await receive()
+        try:
+            async with asyncio.timeout_at(ends):
+                message = await receive()
+        except TimeoutError:
+            raise LateError(f"the request did not come within {_MOST_BODY_S:g} s") from None
         if message["type"] == "http.request":
             seen += len(message.get("body", b""))
+            whole = not message.get("more_body", False)
             if seen > most:
                 raise TooLargeError(most)
         return message
 
     return counted
+
+
+def _is_prefetch(headers: Headers) -> bool:
+    """Whether a browser asks ahead of its user, who may never follow."""
+    return any("prefetch" in headers.get(name, "") for name in ("sec-purpose", "purpose", "x-moz"))
+
+
+def _leading(address: str) -> str:
+    return _LEADING.format(address=html.escape(address))

@@ -24,9 +24,10 @@ from threadpoolctl import threadpool_limits
 
 from cep.io.images import RAW_SUFFIXES
 from cep.studio.documents import opened_document, opened_gyro
+from cep.studio.fields import FieldError
 from cep.studio.jobs import BusyError, Job, Jobs
-from cep.studio.security import Gate, Keys, TooLargeError
-from cep.studio.state import MOST_CHIPS, FieldError, Setting, read_setting
+from cep.studio.security import Gate, Keys, LateError, TooLargeError, too_large
+from cep.studio.state import Setting, read_codes, read_search, read_setting
 from cep.studio.uploads import Uploads
 from cep.studio.views import Views, start_view
 from cep.studio.work import KINDS
@@ -43,7 +44,7 @@ _STATIC = {
     "plots.js": "text/javascript; charset=utf-8",
 }
 _BEAT_S = 15.0
-_MOST_PINS, _MOST_PHOTOS, _MOST_PAGE = 12, 3, 64
+_MOST_PHOTOS, _MOST_PAGE = 3, 64
 Answer = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
 
 
@@ -73,13 +74,13 @@ class _Studio:
     # -- answers to a document of the page ------------------------------------------------------------------------
 
     async def picture(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        steps, seed = (asked.get(name) if isinstance(asked.get(name), int) else None for name in ("steps", "seed"))
-        found: dict[str, Any] = await self.quickly(self.views.picture, _setting(asked), steps=steps, seed=seed or 0)
+        steps, seed = read_search(asked)
+        found: dict[str, Any] = await self.quickly(self.views.picture, _setting(asked), steps=steps, seed=seed)
         return found
 
     async def photos(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
         scene, setting = self._scene(asked.get("scene")), _setting(asked)
-        codes = _codes(asked.get("codes"), "scene", _MOST_PHOTOS)
+        codes = read_codes(asked.get("codes"), "scene", most=_MOST_PHOTOS)
         if any(len(bits) != setting.chips for bits in codes.values()):
             raise FieldError("scene", f"the codes of the photos need {setting.chips} chips, as the page's code has")
         restored = asked.get("restored") is True
@@ -91,7 +92,7 @@ class _Studio:
         return found
 
     async def compare(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        pins = _codes(asked.get("pins"), "pins", _MOST_PINS)
+        pins = read_codes(asked.get("pins"), "pins")
         found: dict[str, Any] = await self.slowly(self.views.compared, _setting(asked), pins)
         return found
 
@@ -117,10 +118,11 @@ class _Studio:
             order: dict[str, Any] = {"path": str(self.uploads.path(asked.get("photo"))), "method": method}
         else:
             _setting(asked).problem()
-            order = {"setting": asked["setting"], "steps": asked.get("steps"), "seed": asked.get("seed", 0)}
+            steps, seed = read_search(asked)
+            order = {"setting": asked["setting"], "steps": steps, "seed": seed}
         if kind == "play":
-            ports = {choice.name for choice in await self.quickly(catalogue.ports)}
-            if asked.get("port") not in {"emulated", *ports}:
+            ports = [choice.name for choice in await self.quickly(catalogue.ports)]
+            if asked.get("port") not in ["emulated", *ports]:
                 raise FieldError("port", "choose a port of the list")
             order |= {"port": asked["port"], "arm": asked.get("arm") is True}
         return self.jobs.start(page, kind, order).to_dict()
@@ -202,9 +204,9 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
         return JSONResponse({"ports": [{"name": one.name, "about": one.about} for one in found]})
 
     async def events(request: Request) -> Response:
-        return StreamingResponse(
-            _events(studio.jobs, _page(request.query_params.get("page"))), 200, media_type="text/event-stream"
-        )
+        page = _page(request.query_params.get("page"))
+        studio.jobs.check_listeners()
+        return StreamingResponse(_events(studio.jobs, page), 200, media_type="text/event-stream")
 
     async def static(request: Request) -> Response:
         return _static(request.path_params.get("name", "index.html"))
@@ -227,7 +229,9 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
         Route("/api/upload/gyro", upload_gyro, methods=["POST"]),
         *(Route(f"/api/{name}", answering(answer), methods=["POST"]) for name, answer in answers.items()),
     ]
-    handlers: Any = {FieldError: _wrong, BusyError: _busy, TooLargeError: _large, ClientDisconnect: _gone}
+    handlers: Any = {
+        FieldError: _wrong, BusyError: _busy, TooLargeError: _large, LateError: _late, ClientDisconnect: _gone
+    }  # fmt: skip
     app = Starlette(
         routes=routes, lifespan=lifespan, exception_handlers=handlers, middleware=[Middleware(Gate, keys=keys)]
     )  # fmt: skip
@@ -240,6 +244,7 @@ def serve(
     port: int = 0,
     opened: Mapping[str, Any] | None = None,
     on_ready: Callable[[str], None] = lambda _address: None,
+    browse: Callable[[str], object] | None = None,
 ) -> None:
     """Serve the studio on 127.0.0.1 until Ctrl-C.
 
@@ -251,11 +256,16 @@ def serve(
         As of :func:`make_app`.
     on_ready : callable
         Called with the address to open, key included, when it is bound.
+    browse : callable, optional
+        Called then with the address of a file that leads a browser to the page: a browser's command line can be read
+        by everybody on the computer, and the file by this user alone. The first visit of the page removes it.
 
     Raises
     ------
     ValueError
         If the port cannot be used.
+    OSError
+        If the file cannot be written.
     """
     import uvicorn
 
@@ -264,7 +274,7 @@ def serve(
     app = make_app(keys, opened=opened)
     config = uvicorn.Config(
         app, log_level="error", access_log=False, server_header=False, date_header=False,
-        timeout_graceful_shutdown=1, h11_max_incomplete_event_size=64 * 1024, ws="none",
+        timeout_graceful_shutdown=1, http="h11", h11_max_incomplete_event_size=64 * 1024, ws="none",
     )  # fmt: skip
 
     class Server(uvicorn.Server):
@@ -277,6 +287,8 @@ def serve(
     server = Server(config)
     bound.listen(64)
     on_ready(keys.address)
+    if browse is not None:
+        browse(keys.page_in(app.state.studio.uploads.folder).as_uri())
     with bound, suppress(KeyboardInterrupt):
         server.run(sockets=[bound])
 
@@ -311,15 +323,6 @@ async def _document(request: Request) -> Mapping[str, Any]:
 
 def _setting(asked: Mapping[str, Any]) -> Setting:
     return read_setting(asked.get("setting"))
-
-
-def _codes(given: object, field: str, most: int) -> Mapping[str, str]:
-    if not isinstance(given, dict) or not 1 <= len(given) <= most:
-        raise FieldError(field, f"needs 1 to {most} codes by their names")
-    for bits in given.values():
-        if not isinstance(bits, str) or set(bits) - {"0", "1"} or not 1 <= len(bits) <= MOST_CHIPS or "1" not in bits:
-            raise FieldError(field, "a code is a row of 1 (open) and 0 (closed)")
-    return given
 
 
 def _page(name: object) -> str:
@@ -378,7 +381,11 @@ def _busy(_: Request, error: Exception) -> Response:
 
 
 def _large(_: Request, error: Exception) -> Response:
-    return JSONResponse({"error": {"field": "page", "message": f"at most {error.args[0]:,} bytes are read"}}, 413)
+    return too_large(error.args[0])
+
+
+def _late(_: Request, error: Exception) -> Response:
+    return JSONResponse({"error": {"field": "page", "message": str(error)}}, 408)
 
 
 def _gone(_: Request, _error: Exception) -> Response:

@@ -14,68 +14,39 @@ import numpy as np
 
 import cep
 from cep.io.formatting import seconds_of
-from cep.workflows.catalogue import example_motion
+from cep.studio.fields import (
+    LIMITS,
+    MOST_CHIPS,
+    FieldError,
+    is_number,
+    is_text,
+    read_bits,
+    read_choice,
+    read_number,
+    read_whole,
+)
+from cep.workflows.catalogue import camera_names, example_motion, profile_names
 from cep.workflows.shutter import shutter_profile
 
-__all__ = ["MOST_CHIPS", "FieldError", "Setting", "disk_error", "path_fields", "read_setting"]
+__all__ = ["Setting", "path_fields", "read_codes", "read_search", "read_setting", "read_state", "saved_setting"]
 
-MOST_CHIPS = 512
 _MOST_SAMPLES = 512  # of a path in the address
 _TIME_STEPS = 65_535  # of a path in the address: 16 bits
-_FARTHEST_PX = 2_000.0
+_FARTHEST_PX = 500.0  # of a bent path: the work grows with its area, to some seconds of a picture
 _MOST_ERROR_PX = 20.0
-_LIMITS = ("min_open", "min_closed", "max_open", "max_pulses")
-_FIELD_OF = {
-    "bits": "bits",
-    "camera": "camera",
-    "chip_ns": "exposure",
-    "chips": "bits",
-    "code": "bits",
-    "device": "device",
-    "exposure": "exposure",
-    "exposure_s": "exposure",
-    "open_range": "open",
-    "photons": "photons",
-    "photons_full_scale": "photons",
-    "read_noise_e": "read_noise",
-    "scenarios": "motion",
-    "trajectory": "motion",
+_MOST_EXPOSURE_S = 86_400.0
+_MOST_STEPS, _MOST_SEED = 10**9, 2**32 - 1
+_MOST_PINS, _MOST_NAME = 12, 80
+_FIRST_PAGE: Mapping[str, Any] = {
+    "motion": {"kind": "straight", "length": 40, "angle": 0},
+    "bits": "1010000111000001010000110011110111010111001001100111",
+    "exposure": "1/30",
+    "camera": "aptina-mt9m031-8bit",
 }
-"""Fields of the page that set what an error of the library begins with."""
-
-
-class FieldError(ValueError):
-    """Wrong input, and the field of the page beside which it is shown.
-
-    Attributes
-    ----------
-    field : str
-    """
-
-    def __init__(self, field: str, message: str) -> None:
-        super().__init__(message)
-        self.field = field
-
-    @classmethod
-    def of(cls, error: ValueError, *, fallback: str = "page") -> FieldError:
-        """Return the error of a field that an error of the library names in its first words."""
-        if isinstance(error, cls):
-            return error
-        head, colon, rest = str(error).partition(": ")
-        first = head.split(" ")[0].rstrip(",")
-        if first in _LIMITS:
-            return cls(first, str(error))
-        if first in _FIELD_OF:
-            return cls(_FIELD_OF[first], rest if colon and " " not in head else str(error))
-        return cls(fallback, str(error))
-
-
-def disk_error(field: str, error: OSError) -> FieldError:
-    """Return what to say beside a field where the studio's own folder cannot be written."""
-    reason = (error.strerror or str(error)).lower()
-    return FieldError(
-        field, f"the studio's folder cannot be written ({reason}); free space there, or set TMPDIR and start it again"
-    )
+"""What a page begins with, as ``static/state.js`` has it."""
+_SETTINGS = ("motion", "bits", "path_error", "exposure", "camera", "photons", "read_noise", "device")
+_SIDES = ("open", "snapshot", "code")
+_CHOICES = {"view": ("taken", "restored"), "left": _SIDES, "right": _SIDES}
 
 
 @dataclass(frozen=True)
@@ -152,16 +123,8 @@ class Setting:
 
     @cached_property
     def profile(self) -> cep.DeviceProfile | None:
-        """Shutter.
-
-        Raises
-        ------
-        FieldError
-        """
-        try:
-            return _profile(self.device) if self.device else None
-        except ValueError as error:
-            raise FieldError("device", str(error)) from None
+        """Shutter."""
+        return _profile(self.device) if self.device else None
 
     def problem(self, *, limited: bool = True) -> cep.SearchProblem:
         """Return the search problem; without its limits where the codes are only to be measured.
@@ -271,34 +234,89 @@ def read_setting(document: object) -> Setting:
     """
     if not isinstance(document, dict):
         raise FieldError("page", f"the state must be an object, got {type(document).__name__}")
-    bits = document.get("bits")
-    if not isinstance(bits, str) or not bits or set(bits) - {"0", "1"}:
-        raise FieldError("bits", "a code is a row of 1 (open) and 0 (closed), as 11010001")
-    if len(bits) > MOST_CHIPS:
-        raise FieldError("bits", f"the studio takes codes of up to {MOST_CHIPS} chips, this one has {len(bits)}")
-    if "1" not in bits:
-        raise FieldError("bits", "all chips are closed; at least one must be open")
+    bits = read_bits(document.get("bits"), "bits")
     motion, trajectory = _motion(document.get("motion"))
-    exposure = document.get("exposure", "50ms")
-    if not isinstance(exposure, str) or len(exposure) > 20:
-        raise FieldError("exposure", "the exposure is a time as 1/30, 20ms or 500us")
-    try:
-        seconds_of(exposure)
-    except ValueError as error:
-        raise FieldError.of(error) from None
     return Setting(
         motion=motion,
         trajectory=trajectory,
         bits=bits,
-        path_error=_number(document, "path_error", 0.0, _MOST_ERROR_PX, "px"),
-        exposure=exposure,
-        camera=_name(document, "camera"),
-        photons=_number(document, "photons", 1.0, 1e7, "photo-electrons at full scale"),
-        read_noise=_number(document, "read_noise", 0.0, 1e5, "electrons of read noise"),
-        device=_name(document, "device"),
+        path_error=read_number(document, "path_error", 0.0, _MOST_ERROR_PX, "px"),
+        exposure=_exposure(document.get("exposure", "50ms")),
+        camera=read_choice(document, "camera", camera_names(), default=""),
+        photons=read_number(document, "photons", 1.0, 1e7, "photo-electrons at full scale"),
+        read_noise=read_number(document, "read_noise", 0.0, 1e5, "electrons of read noise"),
+        device=read_choice(document, "device", profile_names(), default=""),
         open_range=_open_range(document.get("open"), len(bits)),
-        limits={name: value for name in _LIMITS if (value := _count(document, name)) is not None},
+        limits={
+            name: value
+            for name in LIMITS
+            if (value := read_whole(document, name, 1, MOST_CHIPS, "openings" if name == "max_pulses" else "chips"))
+            is not None
+        },
     )
+
+
+def read_search(document: Mapping[str, Any]) -> tuple[int | None, int]:
+    """Read the ``steps`` of a search, None where it says nothing of them, and its ``seed``.
+
+    Raises
+    ------
+    FieldError
+    """
+    steps = read_whole(document, "steps", 1, _MOST_STEPS, "moves of a search")
+    return steps, read_whole(document, "seed", 0, _MOST_SEED, "as a seed") or 0
+
+
+def read_codes(given: object, field: str, *, most: int = _MOST_PINS) -> Mapping[str, str]:
+    """Read codes by their names.
+
+    Raises
+    ------
+    FieldError
+        Beside the field, if there is none, there are more than ``most``, or a name or a code is malformed.
+    """
+    if not isinstance(given, dict) or not 1 <= len(given) <= most:
+        raise FieldError(field, f"needs 1 to {most} codes by their names")
+    if not all(is_text(name, _MOST_NAME) for name in given):
+        raise FieldError(field, f"a code has a name of up to {_MOST_NAME} printable characters")
+    return {name: read_bits(bits, field) for name, bits in given.items()}
+
+
+def read_state(document: object) -> dict[str, Any]:
+    """Read the state of a page, as ``studio.json`` has it.
+
+    Returns
+    -------
+    dict
+        The fields that the document has, each checked; fields that are not known are left out.
+
+    Raises
+    ------
+    FieldError
+        If a field is malformed.
+    """
+    if not isinstance(document, dict):
+        raise FieldError("page", f"the state must be an object, got {type(document).__name__}")
+    setting = saved_setting(document)
+    known = {name: getattr(setting, name) for name in _SETTINGS} | {
+        "open": None if setting.open_range is None else list(setting.open_range),
+        **{name: setting.limits.get(name) for name in LIMITS},
+        **{name: read_choice(document, name, names, default=names[0]) for name, names in _CHOICES.items()},
+        "photo": _photo(document.get("photo")),
+        "pins": _pins(document.get("pins")),
+        "search": _search(document.get("search")),
+    }
+    return {name: value for name, value in known.items() if name in document}
+
+
+def saved_setting(state: Mapping[str, Any]) -> Setting:
+    """Return the setting of a page's state; what it leaves out is as on the first page.
+
+    Raises
+    ------
+    FieldError
+    """
+    return read_setting({**_FIRST_PAGE, **state})
 
 
 def path_fields(trajectory: cep.Trajectory, *, most: int = 160) -> dict[str, Any]:
@@ -321,8 +339,8 @@ def _motion(given: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
         raise FieldError("motion", "the motion must be an object with its kind")
     kind = given.get("kind")
     if kind == "straight":
-        length = _number(given, "length", 1.0, 1_000.0, "px")
-        angle = _number(given, "angle", -360.0, 360.0, "degrees") or 0.0
+        length = read_number(given, "length", 1.0, 1_000.0, "px")
+        angle = read_number(given, "angle", -360.0, 360.0, "degrees") or 0.0
         if length is None:
             raise FieldError("length", "a straight motion needs its length in px")
         return {"kind": kind, "length": length, "angle": angle}, cep.Trajectory.straight(
@@ -331,16 +349,16 @@ def _motion(given: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
     if kind == "example":
         name = given.get("name")
         try:
-            return {"kind": kind, "name": name}, example_motion(str(name))
+            return {"kind": kind, "name": name}, example_motion(name if isinstance(name, str) else "")
         except ValueError as error:
-            raise FieldError("motion", str(error)) from None
+            raise FieldError("motion", str(error).removeprefix("motion: ")) from None
     if kind != "path":
         raise FieldError("motion", "the kind of a motion is straight, example or path")
     columns = [given.get(name) for name in "txy"]
     sizes = {len(column) if isinstance(column, list) else -1 for column in columns}
     if len(sizes) != 1 or not 2 <= sizes.pop() <= _MOST_SAMPLES:
         raise FieldError("motion", f"a path has 2 to {_MOST_SAMPLES} samples, as many of t as of x and y")
-    if not all(_is_number(value) for column in columns for value in column or ()):
+    if not all(is_number(value) for column in columns for value in column or ()):
         raise FieldError("motion", "t, x and y of a path are finite numbers")
     t, x, y = (np.array(column, dtype=np.float64) for column in columns)
     if max(np.abs(x).max(), np.abs(y).max()) > _FARTHEST_PX:
@@ -355,43 +373,52 @@ def _motion(given: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
     return {"kind": kind, "t": t.tolist(), "x": x.tolist(), "y": y.tolist(), "direction": direction}, path
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+def _exposure(given: object) -> str:
+    if not is_text(given, 20) or not given.isascii():
+        raise FieldError("exposure", "the exposure is a time as 1/30, 20ms or 500us")
+    try:
+        exposure_s = seconds_of(given)
+    except ValueError as error:
+        raise FieldError.of(error) from None
+    if not 1e-9 <= exposure_s <= _MOST_EXPOSURE_S:
+        raise FieldError("exposure", f"must be a time within 1ns to {_MOST_EXPOSURE_S:g}s")
+    return given
 
 
-def _number(document: Mapping[str, Any], name: str, low: float, high: float, unit: str) -> float | None:
-    value = document.get(name)
-    if value is None or value == "":
-        return None
-    if not _is_number(value) or not low <= value <= high:
-        raise FieldError(name, f"must be a number within {low:,.10g} to {high:,.10g} {unit}")
-    return float(value)
-
-
-def _count(document: Mapping[str, Any], name: str) -> int | None:
-    value = _number(document, name, 1, MOST_CHIPS, "chips" if name != "max_pulses" else "openings")
-    if value is None:
-        return None
-    if value != int(value):
-        raise FieldError(name, "must be a whole number")
-    return int(value)
-
-
-def _name(document: Mapping[str, Any], field: str) -> str:
-    """Return a name out of a list that the server gave; nothing that could be a file's."""
-    value = document.get(field, "")
-    if value is None or value == "":
+def _photo(given: object) -> str:
+    """Return the key of an upload, empty where there is none."""
+    if given is None:
         return ""
-    plain = isinstance(value, str) and len(value) <= 64 and all(c.isalnum() or c in "-." for c in value)
-    if not plain or value.endswith((".json", ".toml")):
-        raise FieldError(field, "must be one of the names in the list")
-    return str(value)
+    if not is_text(given, _MOST_NAME):
+        raise FieldError("photo", "must be the key of a photo")
+    return given
+
+
+def _pins(given: object) -> list[dict[str, str]]:
+    if given is None or given == []:
+        return []
+    pins: Sequence[Any] = given if isinstance(given, list) else [None]
+    if not all(isinstance(pin, dict) and isinstance(pin.get("name"), str) for pin in pins):
+        raise FieldError("pins", "must be a list of codes with their name and bits")
+    codes = read_codes({pin["name"]: pin.get("bits") for pin in pins}, "pins")
+    if len(codes) < len(pins):
+        raise FieldError("pins", "every code needs a name of its own")
+    return [{"name": name, "bits": bits} for name, bits in codes.items()]
+
+
+def _search(given: object) -> dict[str, int] | None:
+    if given is None:
+        return None
+    steps, seed = read_search(given) if isinstance(given, dict) else (None, 0)
+    if steps is None:
+        raise FieldError("search", "must be an object with the steps and the seed of a search")
+    return {"steps": steps, "seed": seed}
 
 
 def _open_range(given: object, chips: int) -> tuple[int, int] | None:
     if given is None:
         return None
-    ends: Sequence[Any] = given if isinstance(given, list) else []
+    ends: Sequence[Any] = given if isinstance(given, list) else ()
     if len(ends) != 2 or not all(isinstance(end, int) and not isinstance(end, bool) for end in ends):
         raise FieldError("open", "the open chips are two whole numbers, the fewest and the most")
     low, high = ends

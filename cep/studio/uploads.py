@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 
 from cep.io.images import RAW_SUFFIXES
-from cep.studio.state import FieldError, disk_error
+from cep.studio.fields import FieldError, disk_error
 
 __all__ = ["Uploads"]
 

@@ -17,13 +17,14 @@ import cep
 from cep.io.files import StoredCode, code_document, plain
 from cep.io.formatting import duration
 from cep.io.images import encode_image
-from cep.studio.state import FieldError, Setting, path_fields
+from cep.studio.fields import FieldError
+from cep.studio.state import Setting, path_fields, read_search, read_state
 from cep.workflows import catalogue
 from cep.workflows.demo_scene import bundled_picture
 from cep.workflows.live import LiveBench, LiveScene, broken_limits
 from cep.workflows.shutter import export_code
 
-__all__ = ["Views", "start_view"]
+__all__ = ["STUDIO_SCHEMA", "Views", "start_view"]
 
 FloatArray = NDArray[np.float64]
 
@@ -144,22 +145,30 @@ class Views:
 
     def exported(self, setting: Setting, file_format: object) -> dict[str, Any]:
         """Return the code as a timed program: the name of the file, its text, and in what it differs from the code."""
+        if file_format not in (names := [choice.name for choice in catalogue.formats()]):
+            raise FieldError("format", f"must be one of {', '.join(names)}")
         try:
-            made = export_code(setting.code(), str(file_format)[:40], device=setting.profile)
+            made = export_code(setting.code(), str(file_format), device=setting.profile)
         except ValueError as error:
             raise FieldError("format", str(error)) from None
         return {"name": made.name, "text": made.text, "warnings": made.warnings}
 
     def saved(self, setting: Setting, state: Mapping[str, Any]) -> dict[str, Any]:
-        """Return everything as one document: the page's state, motion, code with its certificate, and the commands."""
+        """Return everything as one document: the page's state, motion, code with its certificate, and the commands.
+
+        Raises
+        ------
+        FieldError
+            If the state is malformed.
+        """
+        state = read_state(state)
         bench, _ = self._bench(setting)
         code, path = setting.code(), setting.trajectory
         along = None if bench.problem.on_circle else path
         proven = cep.certify(code, along)
         metrics = bench.figures(code).metrics
         about = {} if setting.profile is None else {"device": setting.profile.to_dict()}
-        search = state.get("search")
-        steps, seed = (search.get("steps"), search.get("seed", 0)) if isinstance(search, dict) else (None, 0)
+        steps, seed = read_search(state.get("search") or {})
         samples = {name: getattr(path, name) for name in "txy"}
         source = {"method": setting.motion["kind"]}
         if setting.path_error_px:
@@ -173,9 +182,7 @@ class Views:
                     "weight": 1.0, "alternatives": [], "source": source,
                 },
                 "code": code_document(StoredCode(code, metrics.to_dict(), about, proven.to_dict())),
-                "commands": setting.commands(
-                    steps=steps if isinstance(steps, int) else None, seed=seed if isinstance(seed, int) else 0
-                ),
+                "commands": setting.commands(steps=steps, seed=seed),
             }
         )  # fmt: skip
 

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from cep.io.files import plain
-from cep.studio.state import FieldError, disk_error, path_fields, read_setting
+from cep.studio.fields import FieldError, disk_error
+from cep.studio.state import path_fields, read_search, read_setting
 
 __all__ = ["KINDS", "Kind", "run"]
 
@@ -170,9 +171,7 @@ def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
 
     setting = read_setting(order["setting"])
     problem = setting.problem()
-    steps, seed = order.get("steps"), order.get("seed", 0)
-    steps = steps if isinstance(steps, int) and 1 <= steps <= 10**9 else None
-    seed = seed if isinstance(seed, int) and 0 <= seed < 2**32 else 0
+    steps, seed = read_search(order)
     share_note: list[Any] = [0.0, ""]
 
     def best(code: cep.ShutterCode) -> None:
@@ -227,6 +226,7 @@ def _play(order: Order, tell: Tell) -> Mapping[str, Any]:
     return {
         "firmware": report.firmware, "trust": report.trust.value, "meaning": report.trust.meaning,
         "read_back": report.read_back, "armed": report.armed, "lease_ms": report.lease_ms, "edges_ns": edges,
+        "duration_ns": code.duration_ns,
         "warnings": [*notes, *report.warnings], "seconds": report.seconds,
         "port": "the emulated Uno" if port == "emulated" else report.port,
     }  # fmt: skip

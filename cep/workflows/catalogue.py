@@ -18,12 +18,14 @@ from motdiff.trajectory import Trajectory
 
 __all__ = [
     "Choice",
+    "camera_names",
     "cameras",
     "devices",
     "example_motion",
     "example_motions",
     "formats",
     "ports",
+    "profile_names",
     "published_chips",
     "published_codes",
     "shutter_name",

@@ -21,7 +21,11 @@ export const DEFAULTS = {
 const VIEWS = ["view", "left", "right"]; // of the photos
 const LIMITS = ["min_open", "max_open", "min_closed", "max_pulses"];
 const NUMBERS = ["path_error", "photons", "read_noise", ...LIMITS];
+const MOST_CHIPS = 512, MOST_SAMPLES = 512;
 export const SIDES = { open: "open shutter", snapshot: "best single exposure", code: "this code" };
+
+/** Whether a text is a code with an open chip, of a length that the studio takes. */
+export const isCode = (text) => text.length <= MOST_CHIPS && /^[01]*1[01]*$/.test(text);
 
 /** What the server reads: the setting alone, without what only the page needs. */
 export function settingOf(state) {
@@ -47,18 +51,17 @@ export function toAddress(state) {
 export function fromAddress(hash) {
   const query = new URLSearchParams(hash.replace(/^#/, ""));
   const state = structuredClone(DEFAULTS);
-  const motion = query.has("motion") ? motionOf(query.get("motion")) : null;
-  if (motion) state.motion = motion;
+  if (query.has("motion")) state.motion = motionOf(query.get("motion"));
   if (query.has("code")) state.bits = query.get("code");
   for (const name of ["exposure", "camera", "device", "photo", ...VIEWS]) if (query.has(name)) state[name] = query.get(name);
-  for (const side of ["left", "right"]) if (!(state[side] in SIDES)) state[side] = DEFAULTS[side];
-  for (const name of NUMBERS) if (query.has(name) && query.get(name) !== "") state[name] = Number(query.get(name));
+  for (const side of ["left", "right"]) if (!Object.hasOwn(SIDES, state[side])) state[side] = DEFAULTS[side];
+  for (const name of NUMBERS) if (query.has(name) && query.get(name) !== "") state[name] = numberOf(query.get(name));
   if (query.has("open")) {
-    const ends = query.get("open").split(":").map(Number);
+    const ends = query.get("open").split(":").map(numberOf);
     state.open = ends.length === 1 ? [ends[0], ends[0]] : ends;
   }
   state.pins = query.getAll("pin").map((text) => ({ name: text.slice(0, text.lastIndexOf("=")), bits: text.slice(text.lastIndexOf("=") + 1) }))
-    .filter((pin) => /^[01]*1[01]*$/.test(pin.bits)).slice(0, 10);
+    .filter((pin) => isCode(pin.bits)).slice(0, 10);
   if (query.has("search")) {
     const [steps, seed] = query.get("search").split(":").map(Number);
     if (Number.isInteger(steps) && Number.isInteger(seed)) state.search = { steps, seed };
@@ -66,9 +69,15 @@ export function fromAddress(hash) {
   return state;
 }
 
+/** A number, or the text where it is none: JSON has no NaN, and the server would take what it sends instead for nothing. */
+function numberOf(text) {
+  return Number.isFinite(Number(text)) ? Number(text) : text;
+}
+
 // -- motions: straight:40:0, example:walk, or path:direction:scale:base64 of 16-bit t, x and y ---------------------------
 
 function motionText(motion) {
+  if (motion.kind === "unreadable") return motion.text;
   if (motion.kind === "straight") return `straight:${motion.length}:${motion.angle}`;
   if (motion.kind === "example") return `example:${motion.name}`;
   const { scale, bytes } = packed(motion);
@@ -77,15 +86,19 @@ function motionText(motion) {
 
 function motionOf(text) {
   const [kind, ...rest] = text.split(":");
-  if (kind === "straight") return { kind, length: Number(rest[0]), angle: Number(rest[1] ?? 0) };
-  if (kind === "example") return { kind, name: rest[0] };
-  if (kind !== "path" || rest.length !== 3) return null;
+  if (kind === "straight") return { kind, length: numberOf(rest[0] ?? ""), angle: numberOf(rest[1] ?? "0") };
+  if (kind === "example") return { kind, name: rest[0] ?? "" };
+  const bytes = kind === "path" && rest.length === 3 ? bytesOf(rest[2]) : [];
+  const count = bytes.length / 6, scale = Number(rest[1]);
+  if (!Number.isInteger(count) || count < 2 || count > MOST_SAMPLES || !Number.isFinite(scale)) return { kind: "unreadable", text };
+  return unpacked(rest[0], scale, bytes);
+}
+
+function bytesOf(text) {
   try {
-    const raw = atob(rest[2].replaceAll("-", "+").replaceAll("_", "/"));
-    const bytes = Uint8Array.from(raw, (letter) => letter.charCodeAt(0));
-    return unpacked(rest[0], Number(rest[1]), bytes);
+    return Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (letter) => letter.charCodeAt(0));
   } catch {
-    return null;
+    return [];
   }
 }
 

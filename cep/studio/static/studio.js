@@ -1,6 +1,6 @@
 // The page: what the hand changes becomes the state, the state becomes the address, and everything follows it.
 
-import { DEFAULTS, SIDES, fromAddress, settingOf, settled, toAddress } from "./state.js";
+import { DEFAULTS, SIDES, fromAddress, isCode, settingOf, settled, toAddress } from "./state.js";
 import { miniature, Strip } from "./strip.js";
 import { drawCurves, drawGains, drawMap, drawOnPhoto, drawPath, drawPlayed } from "./plots.js";
 
@@ -191,11 +191,11 @@ function ownLine(valid) {
   return gaps.length ? `The code below restores ${gaps.join(" and ")}.` : "";
 }
 
-let pinned = {}, restTimer = null;
+let pinned = new Map(), restTimer = null; // figures of the pinned codes by their names
 const followPins = follower(async () => {
   try {
     const pins = Object.fromEntries(state.pins.filter((pin) => pin.bits.length === state.bits.length).map((pin) => [pin.name, pin.bits]));
-    pinned = Object.keys(pins).length ? (await post("compare", { setting: settingOf(state), pins })).pins : {};
+    pinned = new Map(Object.keys(pins).length ? Object.entries((await post("compare", { setting: settingOf(state), pins })).pins) : []);
     calm("pins");
   } catch (error) { complain(error, ["pins"]); }
   drawPins();
@@ -255,8 +255,8 @@ function writeAddress() {
 }
 
 function follow() {
-  if (!/^[01]*1[01]*$/.test(state.bits)) {
-    complain(new Refused("bits", "a code is a row of 1 (open) and 0 (closed), with at least one open chip"), ["picture"]);
+  if (!isCode(state.bits)) {
+    complain(new Refused("bits", "a code is a row of 1 (open) and 0 (closed), of up to 512 chips, with at least one open"), ["picture"]);
     return;
   }
   document.body.dataset.asked = ++revision;
@@ -285,7 +285,7 @@ function travel(from, to) {
 
 /** Put the state into the fields; one that is being typed in is left alone. */
 function fill() {
-  strip.set(/^[01]+$/.test(state.bits) ? state.bits : "1");
+  strip.set(isCode(state.bits) ? state.bits : "1");
   put("bits", state.bits);
   put("chips", state.bits.length);
   for (const name of ["exposure", "camera", "device"]) put(name, state[name]);
@@ -317,7 +317,8 @@ function fill() {
 }
 
 function put(id, value) {
-  if (document.activeElement !== $(id) && $(id).value !== String(value)) $(id).value = value;
+  const text = /number|range/.test($(id).type) && !Number.isFinite(Number(value)) ? "" : String(value); // as an address may have it
+  if (document.activeElement !== $(id) && $(id).value !== text) $(id).value = text;
 }
 
 function draw() {
@@ -364,7 +365,7 @@ function figure(name, value, delta) {
 
 function drawCurve() {
   if (!shown) return;
-  const pins = state.pins.filter((pin) => pinned[pin.name]).map((pin, i) => ({ values: pinned[pin.name].curve, class: `pin${i % 5}` }));
+  const pins = state.pins.filter((pin) => pinned.has(pin.name)).map((pin, i) => ({ values: pinned.get(pin.name).curve, class: `pin${i % 5}` }));
   drawCurves($("curve"), [{ values: shown.open_curve, class: "open" }, ...pins, { values: shown.curve, class: "code" }]);
 }
 
@@ -374,8 +375,8 @@ function drawPins() {
   const figures = { ...shown.figures, psnr_db: ownPsnr()?.psnr_db ?? null };
   const rows = [{ name: "this code", bits: state.bits, colour: "code", figures }];
   state.pins.forEach((pin) => {
-    const i = state.pins.filter((one) => pinned[one.name]).indexOf(pin);
-    rows.push({ name: pin.name, bits: pin.bits, colour: i < 0 ? "" : `pin${i % 5}`, figures: pinned[pin.name], pin });
+    const i = state.pins.filter((one) => pinned.has(one.name)).indexOf(pin);
+    rows.push({ name: pin.name, bits: pin.bits, colour: i < 0 ? "" : `pin${i % 5}`, figures: pinned.get(pin.name), pin });
   });
   const ways = [...(judged?.ways ?? []), ...(advice?.key === adviceKey() && advice.ways.code ? [{ ...advice.ways.code, name: "best code found" }] : [])];
   for (const way of ways) rows.push({ name: way.name, bits: way.bits, figures: { psnr_db: way.psnr_db }, way, note: way.saturates ? "saturates" : way.within_limits ? "" : "outside the limits" });
@@ -514,7 +515,7 @@ function played(found) {
   const said = [`${found.port}: ${found.meaning}${found.armed ? `, armed for ${found.lease_ms} ms` : ""}.`, ...found.warnings.map(sentence)];
   if (found.edges_ns.length) {
     said.push(`Its ${found.edges_ns.length} edges as played are under the strip.`);
-    drawPlayed($("played"), found.edges_ns, shown.code.chip_ns * shown.code.chips);
+    drawPlayed($("played"), found.edges_ns, found.duration_ns);
     $("played").scrollIntoView({ block: "center" }); // with the strip above it
   }
   $("play-line").textContent = said.map(sentence).join(" ");
@@ -749,6 +750,7 @@ async function start() {
   for (const term of document.querySelectorAll(".term")) term.setAttribute("aria-description", term.dataset.tip);
   wire();
   fill();
+  listen(); // first: a job ends whose page does not listen
   if (state.photo) showPhoto(`/api/photo/${state.photo}`);
   follow();
   known = await ask("/api/start");
@@ -761,7 +763,6 @@ async function start() {
   if (opened.state && !location.hash) state = { ...structuredClone(DEFAULTS), ...opened.state };
   if (advice) showAdvice();
   change({}, { recorded: true });
-  listen();
 }
 
 start().catch((error) => complain(error instanceof Refused ? error : new Refused("page", String(error))));

@@ -148,6 +148,46 @@ def test_a_job_dies_with_its_page_but_not_when_it_is_loaded_again(setting, monke
 
 
 @pytest.mark.slow  # a process that loads the library
+def test_a_job_whose_page_never_listened_ends(setting, monkeypatch):
+    monkeypatch.setattr(module, "_GRACE_S", 0.2)
+
+    async def scenario(jobs):
+        order = {"setting": setting, "steps": 10**9}
+        job = jobs.start(PAGE, "search", order)
+        pid = jobs._process.pid
+        while job.state == "running":
+            await asyncio.sleep(0.05)
+        ended = gone(pid)
+        later = jobs.start(PAGE, "search", order)  # the page listens in time
+        jobs.listen(PAGE)
+        await asyncio.sleep(0.5)
+        return job, ended, later.state
+
+    job, ended, later = running(scenario)
+    assert (job.state, ended, later) == ("stopped", True, "running")
+
+
+@pytest.mark.slow  # a process that loads the library
+def test_a_stop_that_is_not_followed_ends_the_job(setting, monkeypatch):
+    monkeypatch.setattr(module, "_LAST_S", 0.3)
+
+    async def scenario(jobs):
+        queue = jobs.listen(PAGE)
+        job = jobs.start(PAGE, "search", {"setting": setting, "steps": 10**9})
+        pid = jobs._process.pid
+        os.kill(pid, signal.SIGSTOP)  # as work that never comes back to Python
+        jobs.stop(PAGE)
+        jobs.stop(PAGE)  # an impatient hand ends nothing earlier
+        assert job.state == "running"
+        await until(queue, lambda job: job.state != "running")
+        return job, pid
+
+    job, pid = running(scenario)
+    assert job.state == "stopped"
+    assert gone(pid)
+
+
+@pytest.mark.slow  # a process that loads the library
 def test_wrong_work_is_one_line_and_no_crash(tmp_path):
     bad = tmp_path / "0123.png"
     bad.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(50))

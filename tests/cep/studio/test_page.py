@@ -2,17 +2,20 @@
 
 import http.client
 import json
+import os
 import re
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
 from cep.io.images import encode_image
+from cep.studio.state import saved_setting
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
@@ -20,15 +23,27 @@ PHONE, DESK = 380, 1280
 pytestmark = pytest.mark.slow  # a server of its own, and a browser
 
 
-@pytest.fixture(scope="module")
-def server_address():
-    """Address of a studio in a process of its own, as the command starts it."""
-    command = [sys.executable, "-c", "from cep.cli.main import run; run()", "studio", "--no-browser", "--json"]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+def started(*arguments, **streams):
+    """Start a studio in a process of its own, as the command does: the process, and the address that it told."""
+    command = [sys.executable, "-c", "from cep.cli.main import run; run()", "studio", "--json", *arguments]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **streams)
     told = ""
     while not told.rstrip().endswith("}"):
         told += server.stdout.readline()
-    yield json.loads(told)["address"]
+    return server, json.loads(told)["address"]
+
+
+@pytest.fixture(scope="module")
+def server_address():
+    """Address of a studio without its key, and the cookie for which the key was exchanged."""
+    server, told = started("--no-browser")
+    home = urlsplit(told)
+    client = http.client.HTTPConnection(home.netloc, timeout=60)
+    client.request("GET", f"/?{home.query}")
+    cookie = client.getresponse().getheader("set-cookie").split(";")[0].partition("=")
+    client.close()
+    address = f"http://{home.netloc}/"
+    yield address, {"name": cookie[0], "value": cookie[2], "url": address, "httpOnly": True, "sameSite": "Strict"}
     server.send_signal(signal.SIGINT)
     assert server.wait(15) == 0
     server.stdout.close()
@@ -38,15 +53,17 @@ def server_address():
 def studio(browser, server_address):
     """Open the studio in a window of a given width; at the end check for requests to other hosts and errors."""
     contexts, asked, errors = [], [], []
+    home, cookie = server_address
 
     def open_page(width=DESK, state="", **options):
         context = browser.new_context(viewport={"width": width, "height": 900}, **options)
         contexts.append(context)
+        context.add_cookies([cookie])
         page = context.new_page()
         page.on("request", lambda request: asked.append(request.url))
         page.on("console", lambda message: errors.append(message.text) if "422" not in message.text else None)
         page.on("pageerror", lambda error: errors.append(str(error)))
-        page.goto(server_address)
+        page.goto(home)
         if state:
             page.evaluate("state => { location.hash = state; }", state)
         shown(page)
@@ -56,8 +73,8 @@ def studio(browser, server_address):
     for context in contexts:
         context.close()
     assert errors == []
-    home = urlsplit(server_address).netloc
-    assert {urlsplit(url).netloc for url in asked if not url.startswith(("data:", "blob:"))} == {home}
+    hosts = {urlsplit(url).netloc for url in asked if not url.startswith(("data:", "blob:"))}
+    assert hosts == {urlsplit(home).netloc}
 
 
 def until(page, expression, seconds=60):
@@ -91,12 +108,8 @@ def chip(page, number):
 
 
 def test_ctrl_c_ends_it_without_a_word_while_a_page_listens():
-    command = [sys.executable, "-c", "from cep.cli.main import run; run()", "studio", "--no-browser", "--json"]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    told = ""
-    while not told.rstrip().endswith("}"):
-        told += server.stdout.readline()
-    home = urlsplit(json.loads(told)["address"])
+    server, told = started("--no-browser", stderr=subprocess.PIPE)
+    home = urlsplit(told)
     first = http.client.HTTPConnection(home.netloc, timeout=60)
     first.request("GET", f"/?{home.query}")
     cookie = first.getresponse().getheader("set-cookie").split(";")[0]
@@ -110,6 +123,40 @@ def test_ctrl_c_ends_it_without_a_word_while_a_page_listens():
     assert server.stderr.read() == ""
     for one in (first, stream, server.stdout, server.stderr):
         one.close()
+
+
+def test_the_browser_that_is_led_by_the_file_has_the_page_and_nobody_else(browser, tmp_path):
+    opener = tmp_path / "opener"  # the browser: its command line is what every user of the computer can read
+    opener.write_text(f"""#!/bin/sh\nprintf '%s\n' "$@" > {tmp_path}/asked\n""")
+    opener.chmod(0o755)
+    server, told = started(env={**os.environ, "BROWSER": f"{opener} %s"})
+    ends = time.monotonic() + 60
+    while not (tmp_path / "asked").exists() or not (tmp_path / "asked").read_text().endswith("\n"):
+        assert time.monotonic() < ends
+        time.sleep(0.02)
+    (file,) = (tmp_path / "asked").read_text().splitlines()
+    assert file.startswith("file:///")
+    assert urlsplit(told).query.partition("=")[2] not in file
+    contexts = [browser.new_context() for _ in range(2)]
+    first, stranger = (context.new_page() for context in contexts)
+    first.goto(file)
+    first.wait_for_url(f"http://{urlsplit(told).netloc}/#*")
+    until(first, "document.body.dataset.asked !== undefined")
+    shown(first)
+    assert not Path(file.removeprefix("file://")).exists()
+    first.reload()
+    shown(first)
+    again = contexts[0].new_page()
+    again.goto(told)  # the printed address, in the browser that has the page
+    until(again, "document.body.dataset.asked !== undefined")
+    assert "token" not in again.url
+    stranger.goto(told)
+    assert "the key has been used, and works once" in stranger.content()
+    for context in contexts:
+        context.close()
+    server.send_signal(signal.SIGINT)
+    assert server.wait(60) == 0
+    server.stdout.close()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -329,3 +376,67 @@ def test_what_is_saved_opens_again(studio, tmp_path):
         page.locator("#format").select_option("csv")
         page.locator("#export").click()
     assert exporting.value.suggested_filename == "code.csv"
+
+
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [
+        ({"bits": 5}, "State.bits: a code is a row of 1 (open) and 0 (closed), as 11010001."),
+        ({"motion": {"kind": "path", "t": None, "x": 1, "y": []}}, "State.motion: a path has 2 to 512 samples"),
+        ({"pins": [{"name": 3}]}, "State.pins: must be a list of codes"),
+        ({"photons": "<b>many</b>"}, "State.photons: must be a number within 1 to"),
+    ],
+)
+def test_a_studio_file_of_wrong_types_is_one_line_on_the_page(studio, tmp_path, state, said):
+    page = studio(state="motion=straight:16:0&code=1101000111010110")
+    before, file = address(page), tmp_path / "studio.json"
+    file.write_text(json.dumps({"schema": "cep.studio/1", "state": state}))
+    page.locator("#open_file").set_input_files(file)
+    until(page, "document.querySelector('.error[data-for~=open_file]').textContent !== ''")
+    assert page.locator(".error[data-for~=open_file]").inner_text().startswith(said)
+    chip(page, 1).click()  # the page goes on from where it was
+    chip(page, 1).click()
+    shown(page)
+    assert address(page) == before
+
+
+HASHES = [
+    ("photons=1e400", "photons"), ("photons=NaN", "photons"), ("photons=x", "photons"), ("read_noise=-1", "read_noise"),
+    ("motion=straight:x:0", "length"), ("motion=straight", "length"), ("motion=loop:1", "motion"),
+    ("motion=path:known:1:AAAA", "motion"), ("motion=path:known:x:" + "A" * 40, "motion"), ("motion=path:a", "motion"),
+    ("motion=path:known:1:" + "A" * 40_000, "motion"), ("motion=path:known:1:!", "motion"), ("open=a:b", "open"),
+    ("open=1:2:3", "open"), ("min_open=1e999", "min_open"), ("code=" + "10" * 400, "bits"), ("code=x", "bits"),
+]  # fmt: skip
+
+
+def test_a_malformed_address_is_told_beside_its_field(studio):
+    page = studio(state="code=1101000111010110&motion=straight:16:0")
+    for text, field in HASHES:
+        page.evaluate("hash => { location.hash = hash; }", text)
+        until(page, f"document.querySelector('.error[data-for~={field}]').textContent !== ''")
+        if text.startswith("code"):
+            continue  # is not sent
+        states = page.evaluate(
+            """async (hash) => {
+              const { fromAddress, toAddress } = await import("/static/state.js"), state = fromAddress(hash);
+              return [state, fromAddress(toAddress(state))];
+            }""",
+            text,
+        )
+        assert states[0] == states[1]  # what was typed stays there to be mended
+
+
+def test_names_of_the_language_are_no_trap_for_names_of_codes(studio):
+    names = "&".join(f"pin={name}=10{bit}" for name, bit in (("__proto__", 0), ("constructor", 1), ("toString", 1)))
+    page = studio(state=f"code=1101000111010110&motion=straight:16:0&left=constructor&right=__proto__&{names}")
+    assert page.locator("#pins").get_by_text("__proto__").count() == 1
+    assert [page.locator(f"#side-{side}").input_value() for side in ("left", "right")] == ["open", "code"]
+
+
+def test_a_page_begins_with_what_the_reader_of_files_takes_for_granted(studio):
+    page = studio()
+    first = page.evaluate("async () => { const m = await import('/static/state.js'); return m.settingOf(m.DEFAULTS); }")
+    setting = saved_setting({})
+    for name in ("bits", "exposure", "camera", "device", "photons", "read_noise", "path_error"):
+        assert getattr(setting, name) == first[name]
+    assert setting.motion == first["motion"]

@@ -250,6 +250,67 @@ def test_hostile_requests_are_refused_and_leave_nothing(client, keys):
     assert client.get("/").status_code == 200
 
 
+HUGE = json.loads("[" + "9" * 400 + ', 1e999, NaN, "\\ud800", [[]], {"a": {}}, true]')
+
+
+@pytest.mark.parametrize("value", HUGE, ids=lambda value: str(type(value).__name__))
+def test_no_value_anywhere_in_a_request_is_an_error_of_the_server(client, setting, value):
+    page, codes = "a" * 16, {"code": setting["bits"]}
+    asked = {
+        "picture": [{"setting": setting, name: value} for name in ("steps", "seed")],
+        "photos": [{"setting": setting, "codes": codes, "scene": value}, {"setting": setting, "codes": {"c": value}}],
+        "compare": [{"setting": setting, "pins": value}],
+        "export": [{"setting": setting, "format": value}],
+        "save": [{"setting": setting, "state": [value]}, {"setting": setting, "state": {"search": value}}],
+        "job": [
+            {"page": value, "kind": "search", "setting": setting},
+            {"page": page, "kind": value, "setting": setting},
+            {"page": page, "kind": "search", "setting": setting, "steps": value},
+            {"page": page, "kind": "search", "setting": setting, "seed": value},
+            {"page": page, "kind": "play", "setting": setting, "port": value},
+            {"page": page, "kind": "calibrate", "photo": value},
+        ],
+        "stop": [{"page": value}],
+        "verdict": [{"setting": {**setting, name: value}} for name in setting],
+    }
+    for name, documents in asked.items():
+        for document in documents:
+            answer = client.post(f"/api/{name}", content=json.dumps(document).encode())
+            assert answer.status_code == 422, (name, document, answer.text)
+            assert answer.json()["error"]["message"].isprintable()
+
+
+@pytest.mark.parametrize("name", ["\ud800", "two\nlines", "x" * 200])
+def test_a_code_of_an_unprintable_name_is_refused(client, setting, name):
+    for address, field in (("compare", "pins"), ("photos", "codes")):
+        body = json.dumps({"setting": setting, field: {name: setting["bits"]}}).encode()
+        assert client.post(f"/api/{address}", content=body).status_code == 422
+
+
+@pytest.mark.parametrize(
+    ("state", "named"),
+    [
+        ({"bits": 5}, "state.bits"), ({"motion": None}, "state.motion"), ({"pins": 3}, "state.pins"), ([], "state"),
+        ({"open": 10**400}, "state.open"), ({"photons": "many"}, "state.photons"), ({"search": "5:0"}, "state.search"),
+        ({"min_open": {"a": [[[]]]}}, "state.min_open"), ({"exposure": ["1/30"]}, "state.exposure"),
+    ],
+)  # fmt: skip
+def test_a_studio_file_of_wrong_types_is_one_line_that_names_the_field(client, state, named):
+    answer = client.post(
+        "/api/upload/document", content=json.dumps({"schema": "cep.studio/1", "state": state}).encode()
+    )
+    assert answer.status_code == 422
+    assert answer.json()["error"]["field"] == "open_file"
+    assert answer.json()["error"]["message"].startswith(f"{named}:")
+
+
+def test_streams_left_open_are_counted(client, monkeypatch):
+    monkeypatch.setattr("cep.studio.jobs._MOST_LISTENERS", 0)
+    answer = client.get("/api/events?page=aaaaaaaa")
+    assert answer.status_code == 409
+    assert "too many pages listen" in answer.text
+
+
 @pytest.mark.parametrize("kind", ["photo", "text"])
 def test_half_an_upload_leaves_nothing(kind):
     async def half():

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import cep
-from cep.studio.state import FieldError, path_fields, read_setting
+from cep.studio.fields import FieldError
+from cep.studio.state import path_fields, read_search, read_setting, read_state
 from motdiff.motions import boracchi_foi
 
 
@@ -52,6 +53,92 @@ def test_wrong_input_names_its_field(setting, field, change):
         read_setting({**setting, **change})
     assert caught.value.field == field
     assert "\n" not in str(caught.value)
+
+
+LARGE = [10**400, -(10**400), 1e300, math.inf, -math.inf, math.nan, "1e400", "9" * 5000, True, [], {}]
+
+
+@pytest.mark.parametrize("value", LARGE, ids=lambda value: str(type(value).__name__))
+@pytest.mark.parametrize("field", ["path_error", "photons", "read_noise", "min_open", "max_pulses"])
+def test_a_number_beyond_all_measure_names_its_field(setting, field, value):
+    with pytest.raises(FieldError) as caught:
+        read_setting({**setting, field: value})
+    assert caught.value.field == field
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize("value", LARGE, ids=lambda value: str(type(value).__name__))
+@pytest.mark.parametrize("column", ["t", "x", "y"])
+def test_a_number_beyond_all_measure_is_no_sample_of_a_path(setting, column, value):
+    motion = {"kind": "path", "t": [0, 0.5, 1], "x": [0, 1, 2], "y": [0, 1, 0]}
+    motion[column][1] = value
+    with pytest.raises(FieldError) as caught:
+        read_setting({**setting, "motion": motion})
+    assert caught.value.field == "motion"
+
+
+@pytest.mark.parametrize("field", ["steps", "seed"])
+@pytest.mark.parametrize("value", [*LARGE, -1, 1.5])
+def test_a_search_of_wrong_numbers_names_them(field, value):
+    with pytest.raises(FieldError) as caught:
+        read_search({"steps": 10, "seed": 1, field: value})
+    assert caught.value.field == field
+
+
+@pytest.mark.parametrize(
+    "exposure", ["20\nms", "\n20ms", "20ms\x1b", "20\u00a0ms", "\u0662\u0660ms", "1e-300", "1e300"]
+)
+def test_an_exposure_is_one_printable_word_of_a_length_that_can_be(setting, exposure):
+    with pytest.raises(FieldError) as caught:
+        read_setting({**setting, "exposure": exposure})
+    assert caught.value.field == "exposure"
+
+
+@pytest.mark.parametrize("name", ["own.JSON", "own.Toml", "--force", ".", "video-8bit\n", "\ud800", ["video-8bit"], 7])
+@pytest.mark.parametrize("field", ["camera", "device"])
+def test_a_name_is_one_of_the_list_and_no_file(setting, tmp_path, monkeypatch, field, name):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.JSON").write_text("{}")
+    (tmp_path / "own.Toml").write_text("")
+    with pytest.raises(FieldError) as caught:
+        read_setting({**setting, field: name})
+    assert caught.value.field == field
+
+
+def test_minus_zero_is_zero_in_the_commands(setting):
+    commands = read_setting({**setting, "read_noise": -0.0}).commands()
+    assert "--read-noise 0 " in commands[0]
+
+
+def test_a_state_is_what_it_says_field_by_field(setting):
+    more = {"pins": [{"name": "mine", "bits": "101"}], "photo": "", "view": "restored", "left": "code", "search": None}
+    state = {**setting, "min_open": 2, **more}
+    assert read_state({**state, "junk": "$(ls)"}) == state
+    assert read_state({}) == {}  # the page begins with the rest
+    assert read_state({"left": "snapshot"}) == {"left": "snapshot"}
+
+
+@pytest.mark.parametrize("value", [*LARGE, "\n", -1])
+@pytest.mark.parametrize(
+    ("field", "fine"),
+    [
+        ("motion", ()), ("bits", ()), ("exposure", ()), ("open", ()), ("view", ()), ("left", ()), ("right", ()),
+        ("photo", ("1e400",)), ("pins", ([],)), ("search", ()),
+    ],
+)  # fmt: skip
+def test_a_state_of_wrong_types_is_refused(field, fine, value):
+    if value in fine:
+        assert read_state({field: value}) == {field: value}
+        return
+    with pytest.raises(FieldError) as caught:
+        read_state({field: value})
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("state", [None, [], "state", 7, 10**400])
+def test_a_state_is_an_object(state):
+    with pytest.raises(FieldError):
+        read_state(state)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,146 @@
+"""Fields of what a page sends, each checked: what is wrong is one line, shown beside the field of the page."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeGuard
+
+__all__ = [
+    "LIMITS",
+    "MOST_CHIPS",
+    "FieldError",
+    "disk_error",
+    "is_number",
+    "is_text",
+    "read_bits",
+    "read_choice",
+    "read_number",
+    "read_whole",
+]
+
+MOST_CHIPS = 512
+LIMITS = ("min_open", "min_closed", "max_open", "max_pulses")
+_LARGEST = sys.float_info.max
+_FIELD_OF = {
+    "bits": "bits",
+    "camera": "camera",
+    "chip_ns": "exposure",
+    "chips": "bits",
+    "code": "bits",
+    "device": "device",
+    "exposure": "exposure",
+    "exposure_s": "exposure",
+    "open_range": "open",
+    "photons": "photons",
+    "photons_full_scale": "photons",
+    "read_noise_e": "read_noise",
+    "scenarios": "motion",
+    "trajectory": "motion",
+}
+"""Fields of the page that set what an error of the library begins with."""
+
+
+class FieldError(ValueError):
+    """Wrong input, and the field of the page beside which it is shown.
+
+    Attributes
+    ----------
+    field : str
+    """
+
+    def __init__(self, field: str, message: str) -> None:
+        super().__init__(message)
+        self.field = field
+
+    @classmethod
+    def of(cls, error: ValueError, *, fallback: str = "page") -> FieldError:
+        """Return the error of a field that an error of the library names in its first words."""
+        if isinstance(error, cls):
+            return error
+        head, colon, rest = str(error).partition(": ")
+        first = head.split(" ")[0].rstrip(",")
+        if first in LIMITS:
+            return cls(first, str(error))
+        if first in _FIELD_OF:
+            return cls(_FIELD_OF[first], rest if colon and " " not in head else str(error))
+        return cls(fallback, str(error))
+
+
+def disk_error(field: str, error: OSError) -> FieldError:
+    """Return what to say beside a field where the studio's own folder cannot be written."""
+    reason = (error.strerror or str(error)).lower()
+    return FieldError(
+        field, f"the studio's folder cannot be written ({reason}); free space there, or set TMPDIR and start it again"
+    )
+
+
+def read_bits(given: object, field: str) -> str:
+    """Read a code with an open chip.
+
+    Raises
+    ------
+    FieldError
+    """
+    if not isinstance(given, str) or not given or set(given) - {"0", "1"}:
+        raise FieldError(field, "a code is a row of 1 (open) and 0 (closed), as 11010001")
+    if len(given) > MOST_CHIPS:
+        raise FieldError(field, f"the studio takes codes of up to {MOST_CHIPS} chips, this one has {len(given)}")
+    if "1" not in given:
+        raise FieldError(field, "all chips are closed; at least one must be open")
+    return given
+
+
+def is_text(value: object, most: int) -> TypeGuard[str]:
+    """Whether a value is a short text without line feeds and other control characters."""
+    return isinstance(value, str) and len(value) <= most and value.isprintable()
+
+
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Whether a value is a number that a double holds: JSON has integers of any size, and Python reads NaN."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
+
+
+def read_number(document: Mapping[str, Any], name: str, low: float, high: float, unit: str) -> float | None:
+    """Read a number within a range, None where there is none, or an empty text.
+
+    Raises
+    ------
+    FieldError
+    """
+    value = document.get(name)
+    if value is None or value == "":
+        return None
+    if not is_number(value) or not low <= value <= high:
+        raise FieldError(name, f"must be a number within {low:,.10g} to {high:,.10g} {unit}")
+    return float(value) + 0.0  # -0.0 becomes 0.0
+
+
+def read_whole(document: Mapping[str, Any], name: str, low: int, high: int, unit: str) -> int | None:
+    """Read a whole number within a range, as :func:`read_number` does.
+
+    Raises
+    ------
+    FieldError
+    """
+    value = read_number(document, name, low, high, unit)
+    if value is None:
+        return None
+    if not value.is_integer():
+        raise FieldError(name, "must be a whole number")
+    return int(value)
+
+
+def read_choice(document: Mapping[str, Any], field: str, choices: Sequence[str], *, default: str) -> str:
+    """Read one of the choices that the server gave; the default where there is none, or an empty text.
+
+    Raises
+    ------
+    FieldError
+    """
+    value = document.get(field)
+    if value is None or value == "":
+        return default
+    if value not in choices:
+        raise FieldError(field, f"must be one of {', '.join(choices)}")
+    return str(value)
