@@ -99,6 +99,23 @@ def _camera_toml_seeds():
     ]
 
 
+def _studio(path):
+    from cep.studio.documents import stored_state
+
+    return stored_state(path)
+
+
+def _studio_seeds():
+    state = {
+        "motion": {"kind": "path", "direction": "known", "t": [0, 0.25, 1], "x": [-5.0, 0.5, 5.0], "y": [0, 1.5, 0.25]},
+        "bits": "1011001110001111", "exposure": "1/30", "camera": "video-8bit", "photons": 2000, "read_noise": None,
+        "device": "flc", "path_error": 0.25, "open": [4, 9], "min_open": 2, "view": "restored", "left": "snapshot",
+        "pins": [{"name": "code 1", "bits": "1010"}], "photo": "", "search": {"steps": 500, "seed": 2},
+    }  # fmt: skip
+    parts = {"trajectory": {"t": [0, 1], "x": [0, 1], "y": [0, 1]}, "code": {"bits": "101", "chip_ns": 5}}
+    return [json.dumps({"schema": "cep.studio/1", "state": state, **parts, "commands": ["cep"]}, indent=1).encode()]
+
+
 def _file(*parts):
     root = Path(__file__).resolve().parent.parent
     return lambda: [root.joinpath(*parts).read_bytes()]
@@ -331,6 +348,7 @@ def _safetensors_mended(data):
 READERS = {
     "trajectory": Reader(".json", _trajectory_seeds, _trajectory, text=True),
     "code": Reader(".json", _code_seeds, _code, text=True),
+    "studio": Reader(".json", _studio_seeds, _studio, text=True),
     "camera.json": Reader(".json", _camera_json_seeds, _camera, text=True),
     "camera.toml": Reader(".toml", _camera_toml_seeds, _camera, text=True),
     "coded protocol": Reader(".toml", _file("cep", "bench", "coded", "paper.toml"), _coded_protocol, text=True),

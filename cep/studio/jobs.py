@@ -146,18 +146,16 @@ class Jobs:
         """Return the last job of a page."""
         return self._job if self._job is not None and self._job.page == page else None
 
-    def check_listeners(self) -> None:
-        """Refuse one more listener where there are too many.
+    def listen(self, page: str) -> asyncio.Queue[Job | None]:
+        """Return a queue of what happens to a page's job, beginning with what is.
 
         Raises
         ------
         BusyError
+            If too many listen.
         """
         if sum(map(len, self._listeners.values())) >= _MOST_LISTENERS:
             raise BusyError("too many pages listen; close some of them")
-
-    def listen(self, page: str) -> asyncio.Queue[Job | None]:
-        """Return a queue of what happens to a page's job, beginning with what is."""
         if (timer := self._leaving.pop(page, None)) is not None:
             timer.cancel()
         self._loop = asyncio.get_running_loop()

@@ -20,6 +20,7 @@ from starlette.middleware import Middleware
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
+from starlette.types import Receive, Scope, Send
 from threadpoolctl import threadpool_limits
 
 from cep.io.images import RAW_SUFFIXES
@@ -44,6 +45,7 @@ _STATIC = {
     "plots.js": "text/javascript; charset=utf-8",
 }
 _BEAT_S = 15.0
+_MOST_SILENT_S = 10.0  # of a connection that has asked nothing yet
 _MOST_PHOTOS, _MOST_PAGE = 3, 64
 Answer = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
 
@@ -204,9 +206,7 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
         return JSONResponse({"ports": [{"name": one.name, "about": one.about} for one in found]})
 
     async def events(request: Request) -> Response:
-        page = _page(request.query_params.get("page"))
-        studio.jobs.check_listeners()
-        return StreamingResponse(_events(studio.jobs, page), 200, media_type="text/event-stream")
+        return _News(studio.jobs, _page(request.query_params.get("page")))
 
     async def static(request: Request) -> Response:
         return _static(request.path_params.get("name", "index.html"))
@@ -268,13 +268,25 @@ def serve(
         If the file cannot be written.
     """
     import uvicorn
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    class Impatient(H11Protocol):
+        """Closes connections that ask nothing: anybody on the computer can open as many as the server has files."""
+
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            self.loop.call_later(_MOST_SILENT_S, self._close_unused)
+
+        def _close_unused(self) -> None:
+            if self.cycle is None:
+                self.transport.close()
 
     bound = bound_socket(port)
     keys = Keys(bound.getsockname()[1])
     app = make_app(keys, opened=opened)
     config = uvicorn.Config(
         app, log_level="error", access_log=False, server_header=False, date_header=False,
-        timeout_graceful_shutdown=1, http="h11", h11_max_incomplete_event_size=64 * 1024, ws="none",
+        timeout_graceful_shutdown=1, http=Impatient, h11_max_incomplete_event_size=64 * 1024, ws="none",
     )  # fmt: skip
 
     class Server(uvicorn.Server):
@@ -331,23 +343,36 @@ def _page(name: object) -> str:
     return name
 
 
-async def _events(jobs: Jobs, page: str) -> AsyncIterator[str]:
-    """Tell a page of its job as it goes on; an idle line now and then shows whether the page is still there."""
-    queue = jobs.listen(page)
-    try:
-        while True:
-            try:
-                job: Job | None = await asyncio.wait_for(queue.get(), _BEAT_S)
-            except TimeoutError:
-                yield ": beat\n\n"
-                continue
-            if jobs.closing:
-                return
-            while not queue.empty():  # only the latest state counts
-                job = queue.get_nowait()
-            yield f"data: {json.dumps(None if job is None else job.to_dict())}\n\n"
-    finally:
-        jobs.leave(page, queue)
+class _News(StreamingResponse):
+    """What happens to a page's job, for as long as the page listens."""
+
+    def __init__(self, jobs: Jobs, page: str) -> None:
+        super().__init__((), 200, media_type="text/event-stream")
+        self._jobs = jobs
+        self._page = page
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        queue = self._jobs.listen(self._page)
+        self.body_iterator = _events(self._jobs, queue)
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self._jobs.leave(self._page, queue)
+
+
+async def _events(jobs: Jobs, queue: asyncio.Queue[Job | None]) -> AsyncIterator[str]:
+    """Tell of a job as it goes on; an idle line now and then shows whether the page is still there."""
+    while True:
+        try:
+            job: Job | None = await asyncio.wait_for(queue.get(), _BEAT_S)
+        except TimeoutError:
+            yield ": beat\n\n"
+            continue
+        if jobs.closing:
+            return
+        while not queue.empty():  # only the latest state counts
+            job = queue.get_nowait()
+        yield f"data: {json.dumps(None if job is None else job.to_dict())}\n\n"
 
 
 def _static(name: str) -> Response:

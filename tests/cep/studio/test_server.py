@@ -1,16 +1,21 @@
 import asyncio
 import base64
 import json
+import queue
 import socket
+import threading
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+import uvicorn
 from full_disk import full_disk
 from hostile_requests import hostile
 from starlette.requests import ClientDisconnect
 
 import cep
 from cep.io.images import RAW_SUFFIXES, encode_image, read_image
+from cep.studio import server
 from cep.studio.server import bound_socket
 from cep.studio.state import read_setting
 from cep.studio.uploads import Uploads
@@ -302,6 +307,23 @@ def test_a_studio_file_of_wrong_types_is_one_line_that_names_the_field(client, s
     assert answer.status_code == 422
     assert answer.json()["error"]["field"] == "open_file"
     assert answer.json()["error"]["message"].startswith(f"{named}:")
+
+
+def test_a_connection_that_asks_nothing_is_closed(monkeypatch):
+    monkeypatch.setattr(server, "_MOST_SILENT_S", 0.2)
+    ready, servers, run = queue.Queue(), [], uvicorn.Server.run
+    monkeypatch.setattr(uvicorn.Server, "run", lambda self, sockets: [servers.append(self), run(self, sockets)])
+    serving = threading.Thread(target=lambda: server.serve(on_ready=ready.put))
+    serving.start()
+    try:
+        home = urlsplit(ready.get(timeout=60))
+        with socket.create_connection((home.hostname, home.port), timeout=60) as silent:
+            silent.sendall(b"GET / HTTP/1.1\r\nhost: ")
+            assert silent.recv(100) == b""
+    finally:
+        servers[0].should_exit = True
+        serving.join(60)
+    assert not serving.is_alive()
 
 
 def test_streams_left_open_are_counted(client, monkeypatch):
