@@ -187,6 +187,20 @@ def test_a_stop_that_is_not_followed_ends_the_job(setting, monkeypatch):
     assert gone(pid)
 
 
+def test_streams_left_open_are_counted(monkeypatch):
+    monkeypatch.setattr(module, "_MOST_LISTENERS", 2)
+
+    async def scenario(jobs):
+        jobs.listen(PAGE)
+        left = jobs.listen(OTHER)
+        with pytest.raises(BusyError, match="too many pages listen"):
+            jobs.listen(PAGE)
+        jobs.leave(OTHER, left)
+        return jobs.listen(PAGE)
+
+    assert running(scenario).get_nowait() is None
+
+
 @pytest.mark.slow  # a process that loads the library
 def test_wrong_work_is_one_line_and_no_crash(tmp_path):
     bad = tmp_path / "0123.png"

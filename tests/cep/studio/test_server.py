@@ -16,6 +16,7 @@ from starlette.requests import ClientDisconnect
 import cep
 from cep.io.images import RAW_SUFFIXES, encode_image, read_image
 from cep.studio import server
+from cep.studio.jobs import BusyError
 from cep.studio.server import bound_socket
 from cep.studio.state import read_setting
 from cep.studio.uploads import Uploads
@@ -326,8 +327,11 @@ def test_a_connection_that_asks_nothing_is_closed(monkeypatch):
     assert not serving.is_alive()
 
 
-def test_streams_left_open_are_counted(client, monkeypatch):
-    monkeypatch.setattr("cep.studio.jobs._MOST_LISTENERS", 0)
+def test_a_stream_too_many_is_refused(client, monkeypatch):
+    def refuse(_page):
+        raise BusyError("too many pages listen")
+
+    monkeypatch.setattr(studio_of(client).jobs, "listen", refuse)
     answer = client.get("/api/events?page=aaaaaaaa")
     assert answer.status_code == 409
     assert "too many pages listen" in answer.text
