@@ -126,37 +126,39 @@ def test_ctrl_c_ends_it_without_a_word_while_a_page_listens():
 
 
 def test_the_browser_that_is_led_by_the_file_has_the_page_and_nobody_else(browser, tmp_path):
-    opener = tmp_path / "opener"  # the browser: its command line is what every user of the computer can read
-    opener.write_text(f"""#!/bin/sh\nprintf '%s\n' "$@" > {tmp_path}/asked\n""")
-    opener.chmod(0o755)
+    opener, asked = tmp_path / "opener", tmp_path / "asked"
+    opener.write_text(f"#!/bin/sh\nprintf '%s\\n' \"$@\" > {asked}.part && mv {asked}.part {asked}\n")
+    opener.chmod(0o755)  # the browser of the command: every user of the computer can read what it is called with
     server, told = started(env={**os.environ, "BROWSER": f"{opener} %s"})
-    ends = time.monotonic() + 60
-    while not (tmp_path / "asked").exists() or not (tmp_path / "asked").read_text().endswith("\n"):
-        assert time.monotonic() < ends
-        time.sleep(0.02)
-    (file,) = (tmp_path / "asked").read_text().splitlines()
-    assert file.startswith("file:///")
-    assert urlsplit(told).query.partition("=")[2] not in file
     contexts = [browser.new_context() for _ in range(2)]
-    first, stranger = (context.new_page() for context in contexts)
-    first.goto(file)
-    first.wait_for_url(f"http://{urlsplit(told).netloc}/#*")
-    until(first, "document.body.dataset.asked !== undefined")
-    shown(first)
-    assert not Path(file.removeprefix("file://")).exists()
-    first.reload()
-    shown(first)
-    again = contexts[0].new_page()
-    again.goto(told)  # the printed address, in the browser that has the page
-    until(again, "document.body.dataset.asked !== undefined")
-    assert "token" not in again.url
-    stranger.goto(told)
-    assert "the key has been used, and works once" in stranger.content()
-    for context in contexts:
-        context.close()
-    server.send_signal(signal.SIGINT)
-    assert server.wait(60) == 0
-    server.stdout.close()
+    try:
+        ends = time.monotonic() + 60
+        while not asked.exists():
+            assert time.monotonic() < ends
+            time.sleep(0.02)
+        (file,) = asked.read_text().splitlines()
+        assert file.startswith("file:///")
+        assert urlsplit(told).query.partition("=")[2] not in file
+        first, stranger = (context.new_page() for context in contexts)
+        first.goto(file)
+        first.wait_for_url(f"http://{urlsplit(told).netloc}/#*")
+        until(first, "document.body.dataset.asked !== undefined")
+        shown(first)
+        assert not Path(file.removeprefix("file://")).exists()
+        first.reload()
+        shown(first)
+        again = contexts[0].new_page()
+        again.goto(told)  # the printed address, in the browser that has the page
+        until(again, "document.body.dataset.asked !== undefined")
+        assert "token" not in again.url
+        stranger.goto(told)
+        assert "the key has been used, and works once" in stranger.content()
+    finally:
+        for context in contexts:
+            context.close()
+        server.send_signal(signal.SIGINT)
+        assert server.wait(60) == 0
+        server.stdout.close()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
