@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +20,13 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-DEFAULT_AXES = ("+y", "+x")
+DEFAULT_AXES = "right,down,forward"
+"""Directions of a sensor's x, y and z axes where none are given: the axes of the camera itself."""
+
+_DIRECTIONS = {
+    "right": (1, 0, 0), "left": (-1, 0, 0), "down": (0, 1, 0), "up": (0, -1, 0), "forward": (0, 0, 1),
+    "back": (0, 0, -1),
+}  # fmt: skip
 _SUBSTEPS = 8  # trajectory samples per gyro interval: rates are linear there, hence angles quadratic
 
 
@@ -36,6 +40,10 @@ class GyroTrace:
         Strictly increasing, on the recording's own clock.
     rate_rad_s : (N, 3) float, rad/s
         Right-handed rates about the sensor's x, y and z axes.
+    columns : str
+        Columns and units that a file was read by; empty where there is no file.
+    warnings : tuple of str
+        Warnings for the user: what a reader took for granted or left out, one sentence each.
 
     Raises
     ------
@@ -45,6 +53,8 @@ class GyroTrace:
 
     t_s: FloatArray
     rate_rad_s: FloatArray
+    columns: str = ""
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         t, rate = np.array(self.t_s, dtype=np.float64), np.array(self.rate_rad_s, dtype=np.float64)
@@ -76,31 +86,49 @@ class GyroTrace:
         return float(1 / np.median(np.diff(self.t_s)))
 
 
-def image_rates_rad_s(trace: GyroTrace, *, axes: Sequence[str] = DEFAULT_AXES) -> FloatArray:
+def image_rates_rad_s(trace: GyroTrace, *, axes: str = DEFAULT_AXES) -> FloatArray:
     """Angular rates (N, 2), rad/s, that move the image to the right and down.
+
+    A camera that turns about the axis that points down pans to the right, so the scene moves left; one that turns
+    about the axis that points right tilts up, so the scene moves down.
 
     Parameters
     ----------
     trace : GyroTrace
-    axes : two of "+x", "-x", "+y", "-y", "+z", "-z"
-        Sensor axis that moves the image along +x, and along +y. The default fits a phone held upright whose sensor has
-        x right, y up, z towards the user (Android, iOS) and whose rear camera looks along -z: turning about +y pans
-        the camera left, so the scene moves right; turning about +x tilts it up, so the scene moves down.
+    axes : str
+        Directions in which the sensor's x, y and z axes point, as one sees them from behind the camera with the photo
+        upright: three of right, left, up, down, forward, back. The default "right,down,forward" is that of a camera;
+        a phone held upright (Android, iOS; rear camera) is "right,up,back"; held sideways, its top to the left, it is
+        "up,left,back", and its top to the right "down,right,back"; a drone that looks ahead is often
+        "forward,right,down".
 
     Raises
     ------
     ValueError
-        If ``axes`` does not name two different sensor axes with a sign.
+        If ``axes`` does not name the directions of three right-handed axes.
     """
-    names = tuple(axes)
-    if len(names) != 2 or any(re.fullmatch("[+-][xyz]", name) is None for name in names) or names[0][1] == names[1][1]:
-        raise ValueError(f'axes: must name two different signed sensor axes such as ("+y", "+x"), got {names}')
-    columns = [float(f"{name[0]}1") * trace.rate_rad_s[:, "xyz".index(name[1])] for name in names]
-    return np.stack(columns, axis=1)
+    about = _camera_rates_rad_s(trace, axes)
+    return np.stack([-about[:, 1], about[:, 0]], axis=1)
+
+
+def _camera_rates_rad_s(trace: GyroTrace, axes: str) -> FloatArray:
+    """Rates (N, 3), rad/s, about the camera's axes: right, down, forward."""
+    names = [name.strip() for name in axes.split(",")]
+    if len(names) != 3 or not all(name in _DIRECTIONS for name in names):
+        raise ValueError(
+            f"axes: must be the directions of x, y and z such as {DEFAULT_AXES} or right,up,back, of "
+            f"{', '.join(_DIRECTIONS)}; got {axes!r}"
+        )
+    turned = np.array([_DIRECTIONS[name] for name in names], dtype=np.float64)
+    if round(float(np.linalg.det(turned))) != 1:
+        raise ValueError(
+            f"axes: must be at right angles and right-handed, as {DEFAULT_AXES} or right,up,back are; got {axes!r}"
+        )
+    return trace.rate_rad_s @ turned
 
 
 def trajectory_from_gyro(
-    trace: GyroTrace, *, focal_px: float, start_s: float, exposure_s: float, axes: Sequence[str] = DEFAULT_AXES
+    trace: GyroTrace, *, focal_px: float, start_s: float, exposure_s: float, axes: str = DEFAULT_AXES
 ) -> Trajectory:
     """Integrate the rates over the exposure: the trajectory, with known direction and dwell.
 
@@ -116,12 +144,12 @@ def trajectory_from_gyro(
     start_s : float, seconds
         Opening of the shutter, on the trace's clock.
     exposure_s : float, seconds
-    axes : two signed sensor axes, as :func:`image_rates_rad_s`
+    axes : str, as of :func:`image_rates_rad_s`
 
     Raises
     ------
     ValueError
-        If the exposure does not lie within the trace, or a number is not positive.
+        If the exposure does not lie within the trace, a number is not positive, or the axes are none.
     """
     for name, value in (("focal_px", focal_px), ("exposure_s", exposure_s)):
         if not (math.isfinite(value) and value > 0):
@@ -130,7 +158,7 @@ def trajectory_from_gyro(
     return Trajectory.from_samples(focal_px * angles, t=times, direction="known")
 
 
-def roll_rad(trace: GyroTrace, *, start_s: float, exposure_s: float, axes: Sequence[str] = DEFAULT_AXES) -> float:
+def roll_rad(trace: GyroTrace, *, start_s: float, exposure_s: float, axes: str = DEFAULT_AXES) -> float:
     """Largest change of the roll angle, rad, during the exposure, which :func:`trajectory_from_gyro` leaves out.
 
     A pixel r px from the photo's centre moves by up to ``r * roll`` px in addition to the trajectory.
@@ -139,11 +167,9 @@ def roll_rad(trace: GyroTrace, *, start_s: float, exposure_s: float, axes: Seque
     ----------
     trace : GyroTrace
     start_s, exposure_s : float, seconds
-    axes : two signed sensor axes, as :func:`image_rates_rad_s`; the third is the roll axis
+    axes : str, as of :func:`image_rates_rad_s`
     """
-    image_rates_rad_s(trace, axes=axes)  # checks the axes
-    roll = next(i for i, axis in enumerate("xyz") if axis not in (axes[0][1], axes[1][1]))
-    _, angles = _integrated(trace, trace.rate_rad_s[:, roll : roll + 1], start_s, exposure_s)
+    _, angles = _integrated(trace, _camera_rates_rad_s(trace, axes)[:, 2:], start_s, exposure_s)
     return float(np.ptp(angles))
 
 

@@ -20,6 +20,7 @@ __all__ = [
 
 DEBLURGAN_EXPL = (0.01, 0.009, 0.008, 0.007, 0.005, 0.003)
 _WINDOW_TRIES = 200
+_RECORDED_AXES = "right,up,back"  # a phone's; other axes would draw the mirror images of the published tables' motions
 _ERROR_KNOTS = 101
 
 
@@ -175,7 +176,7 @@ def random_gyro_motion(
         raise ValueError(f"exposure_s: {exposure_s} s does not fit the trace of {trace.duration_s:.3g} s")
     for _ in range(_WINDOW_TRIES):
         start_s = float(trace.t_s[0]) + spare_s * rng.random()
-        motion = trajectory_from_gyro(trace, focal_px=1.0, start_s=start_s, exposure_s=exposure_s)
+        motion = trajectory_from_gyro(trace, focal_px=1.0, start_s=start_s, exposure_s=exposure_s, axes=_RECORDED_AXES)
         if motion.extent_px < min_extent_rad:
             continue
         if rotate:

@@ -21,9 +21,10 @@
 # %% [markdown]
 # ## A log
 #
-# Any table with a time and three rates will do; units are read from the header. This one is made here: 500 rows a
-# second of a drone whose motors shake the camera while it yaws. A camera with a focal length of 1600 px turns an
-# angle of 1 mrad into 1.6 px.
+# Any table with a time and three rates will do; units are read from the header. Not in the file are the directions of
+# its axes. Here they are those of the camera: x right, y down, z forward. A phone held upright has x right, y up, z
+# back. This log is made here: 500 rows a second of a drone whose motors shake the camera while it yaws to the right. A
+# camera with a focal length of 1600 px turns an angle of 1 mrad into 1.6 px.
 
 # %%
 import tempfile
@@ -45,28 +46,28 @@ with tempfile.TemporaryDirectory() as folder:
     np.savetxt(log, np.column_stack([t, rates]), delimiter=",", header="t_s,wx_rad_s,wy_rad_s,wz_rad_s", comments="")
     print(*log.read_text().splitlines()[:3], sep="\n")
     trace = cep.read_gyro(log)
+print(trace.columns)
 print(f"{trace.sample_rate_hz:.0f} rows a second, {trace.duration_s:.2f} s")
 
 # %% [markdown]
 # ## The photo, and the path that the log gives it
 #
 # The estimator integrates the rates over the exposure. The true path is known here in closed form: a steady yaw of
-# $f\,\omega\,T$ = 22.4 px to the right, and a sine of $f\,a/(2\pi\nu)$ = 2.5 px.
+# $f\,\omega\,T$ = 22.4 px to the left, and a sine of $f\,a/(2\pi\nu)$ = 2.5 px.
 
 # %%
 share = np.linspace(0, 1, 400)
 time_s = exposure_s * share
 amplitude_px = focal_px * shake_rad_s / (2 * np.pi * 30)
-xy = np.stack([focal_px * yaw_rad_s * time_s, amplitude_px * np.sin(2 * np.pi * 30 * time_s)], axis=1)
+xy = np.stack([-focal_px * yaw_rad_s * time_s, amplitude_px * np.sin(2 * np.pi * 30 * time_s)], axis=1)
 truth = cep.Trajectory.from_samples(xy, t=share, direction="known")
 
 rng = np.random.default_rng(3)
 scene = data.camera()[60:380, 60:380] / 255
 camera = cep.Camera(photons_full_scale=20_000, read_noise_e=80)
 blurred = cep.capture(scene, truth, camera=camera, rng=rng)
-estimate = cep.estimate_motion(
-    blurred, method="gyro", gyro=trace, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s
-)
+known = {"gyro": trace, "focal_px": focal_px, "exposure_s": exposure_s, "axes": "right,down,forward"}
+estimate = cep.estimate_motion(blurred, method="gyro", start_s=start_s, **known)
 found = estimate.best
 error_px = np.sqrt(np.mean(np.sum((found.at(share) - truth.at(share)) ** 2, axis=1)))
 print(f"{found.length_px:.2f} px long, direction {found.direction}, {error_px:.3f} px rms from the closed form")
@@ -92,9 +93,7 @@ _ = figure.colorbar(drawn, ax=path_axes, label="time since opening, ms")
 # did not follow during the exposure. Dots mark every tenth of the exposure.
 
 # %%
-late = cep.estimate_motion(
-    blurred, method="gyro", gyro=trace, focal_px=focal_px, start_s=start_s + 0.005, exposure_s=exposure_s
-)
+late = cep.estimate_motion(blurred, method="gyro", start_s=start_s + 0.005, **known)
 off_px = np.sqrt(np.mean(np.sum((late.best.at(share) - truth.at(share)) ** 2, axis=1)))
 print(f"{off_px:.2f} px rms from the truth")
 assert off_px > 10 * error_px
@@ -154,5 +153,5 @@ for row, (title, light) in zip(axes, scenes.items(), strict=True):
     assert max(psnr_db, key=psnr_db.get) == best
 
 # %% [markdown]
-# From files: `cep calibrate blurred.jpg --method gyro --gyro gyro.csv --focal 1600 --start 0.20 --exposure 0.040 -o
-# motion`.
+# From files: `cep calibrate blurred.jpg --method gyro --gyro gyro.csv --focal 1600 --start 0.20 --exposure 0.040
+# --gyro-axes right,down,forward -o motion`.

@@ -9,6 +9,8 @@ from typing import Annotated, Any, cast
 
 import typer
 
+from cep.cli.code_options import exposure_seconds
+from cep.cli.commands import in_options
 from cep.cli.console import finish, part, photo_named, progress
 from cep.cli.jobs import Cache, Dask, Workers, finish_folder, only_of_folders
 from cep.cli.options import Force, Gamma, Json, Seed, TableFile, output_option, table_files
@@ -27,6 +29,7 @@ _WITH_GYRO, _WITH_MOTDIFF = "With --method gyro", "With --method motdiff"
 
 
 def calibrate(
+    context: typer.Context,
     images: Annotated[
         list[Path],
         typer.Argument(
@@ -86,8 +89,25 @@ def calibrate(
         ),
     ] = None,
     exposure: Annotated[
-        float | None,
-        typer.Option("--exposure", metavar="S", help="Exposure time, s; needed.", rich_help_panel=_WITH_GYRO),
+        str | None,
+        typer.Option(
+            "--exposure",
+            metavar="S",
+            help="Exposure time: 1/20, 0.05, 50ms or 500us; needed.",
+            rich_help_panel=_WITH_GYRO,
+        ),
+    ] = None,
+    gyro_axes: Annotated[
+        str | None,
+        typer.Option(
+            "--gyro-axes",
+            metavar="X,Y,Z",
+            show_default="right,down,forward, as a camera's",
+            help="Directions of the recording's x, y and z axes, seen from behind the camera with the photo upright: "
+            "right, left, up, down, forward or back. A phone held upright: right,up,back; sideways, its top to the "
+            "left: up,left,back, to the right: down,right,back. Wrong axes mirror or turn the path.",
+            rich_help_panel=_WITH_GYRO,
+        ),
     ] = None,
     gyro_unit: Annotated[
         str | None,
@@ -138,9 +158,10 @@ def calibrate(
     Example: cep calibrate light.png --method point --code code.json -o motion
     """
     method = method or ("coded" if code else "motdiff")
+    exposure_s = exposure_seconds(exposure)
     options = {
         "samples": samples, "sharp": sharp, "gyro": gyro, "focal_px": focal,
-        "start_s": start, "exposure_s": exposure, "rate_unit": gyro_unit, "codes": code,
+        "start_s": start, "exposure_s": exposure_s, "axes": gyro_axes, "rate_unit": gyro_unit, "codes": code,
     }  # fmt: skip
     image = images[0]
     if len(images) > 1 and not code and any(one.is_dir() for one in images):
@@ -202,7 +223,8 @@ def calibrate(
                 gyro=recording,
                 focal_px=focal,
                 start_s=start,
-                exposure_s=exposure,
+                exposure_s=exposure_s,
+                axes=gyro_axes,
                 codes=codes,
                 progress=part(tick, begins, ends),
             )
@@ -222,8 +244,9 @@ def calibrate(
         files = found.save(folder, source=source, force=force, bits=min(photos[0].bits, 16), gamma=gamma)
         tick(1.0)
     motion = found.best
+    warnings = [in_options(line, context) for line in found.warnings]
     result = describe_motion(
-        found, files, seconds=seconds, warnings=[*(line for one in photos for line in one.warnings), *found.warnings]
+        found, files, seconds=seconds, warnings=[*(line for one in photos for line in one.warnings), *warnings]
     )
     sure = f"direction {motion.direction}; confidence {found.confidence:.2f}"
     still = found.details.get("motion_blur", True) is False
@@ -235,8 +258,13 @@ def calibrate(
     first = f"{found.warnings[0]}.\n" if still else _repeatability(motion.length_px, found.details)
     finish(result, as_json=as_json, show=lambda console: console.print(
         f"{first}{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, {sure}; "
-        f"{found.method}, {seconds:.1f} s"
+        f"{found.method}, {seconds:.1f} s{_recording(gyro, found.details)}"
     ))  # fmt: skip
+
+
+def _recording(gyro: Path | None, details: Mapping[str, Any]) -> str:
+    """Say which columns, units and axes of a recording were read; nothing of other methods."""
+    return "" if gyro is None else f"\n{gyro}: {details['columns']}; axes: {details['axes']}"
 
 
 def _repeatability(length_px: float, details: Mapping[str, Any]) -> str:

@@ -18,6 +18,7 @@ _EXAMPLE = "Example: "
 _UNITS = ("_s", "_ms", "_ns", "_px", "_db", "_e", "_ppm", "_hz", "_dn")
 _SET_BY = {
     "amounts": ("drift",),
+    "axes": ("gyro_axes",),
     "bits": ("bits", "code", "codes"),
     "chips": ("chips", "code", "codes"),
     "effort": ("bound",),

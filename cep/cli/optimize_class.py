@@ -35,7 +35,7 @@ ClassName = Annotated[
     typer.Option(
         "--class", metavar="walks|FILE", rich_help_panel=MOTION,
         help="One code for a class of motions, without calibration: walks (simulated hand shakes), or shakes cut from "
-        "a gyro recording, each as long as the exposure.",
+        "a gyro recording (its z axis along the line of sight), each as long as the exposure.",
     ),
 ]  # fmt: skip
 PathLength = Annotated[
@@ -106,7 +106,7 @@ def optimize_class(task: ClassTask, run: SearchRun) -> Callable[[], None]:
 
     best = find(task.motions, task.problem, run.how, others=task.others, progress=run.tick, on_found=keep)
     best.save(run.output, described=task.described)
-    result = {"file": run.output, **best.to_dict(), "warnings": list(best.warnings)}
+    result = {"file": run.output, **best.to_dict(), "warnings": [*task.warnings, *best.warnings]}
     return run.shown(result, partial(_show, best=best, file=run.output))
 
 

@@ -11,12 +11,14 @@ import numpy as np
 
 import cep
 from cep.io.files import StoredCode, json_text, read_code, read_json, stored_device
+from cep.io.formatting import seconds_of
 from cep.io.outputs import claim_folder, new_folder
 from cep.studio.fields import FieldError
 from cep.studio.state import path_fields, read_state, saved_setting
 from cep.studio.views import STUDIO_SCHEMA, Views
 from cep.workflows.catalogue import shutter_name
 from cep.workflows.motions import gyro_motion, stored_paths
+from motdiff.gyro import DEFAULT_AXES
 
 __all__ = ["EXTRACTED", "extract", "opened_document", "opened_gyro", "stored_state"]
 
@@ -62,7 +64,7 @@ def opened_gyro(file: Path, given: Mapping[str, str]) -> dict[str, Any]:
     ----------
     file : Path
     given : mapping
-        ``focal`` px, ``start`` s and ``exposure`` s.
+        ``focal`` px, ``start`` s, ``exposure`` s and ``axes``, the directions of the recording's axes.
 
     Raises
     ------
@@ -70,16 +72,24 @@ def opened_gyro(file: Path, given: Mapping[str, str]) -> dict[str, Any]:
         If a number or the recording is wrong.
     """
     numbers = {}
-    for name in ("focal", "start", "exposure"):
+    for name, parse in (("focal", float), ("start", float), ("exposure", seconds_of)):
         try:
-            numbers[name] = float(given.get(name, ""))
-        except ValueError:
-            raise FieldError(f"gyro_{name}", "a number is needed") from None
+            numbers[name] = parse(given.get(name, ""))
+        except ValueError as error:
+            said = str(error).removeprefix("exposure: ") if parse is seconds_of else "a number is needed"
+            raise FieldError(f"gyro_{name}", said) from None
+    axes = given.get("axes", DEFAULT_AXES)
     try:
-        path = gyro_motion(file, focal_px=numbers["focal"], start_s=numbers["start"], exposure_s=numbers["exposure"])
+        path, trace = gyro_motion(
+            file, focal_px=numbers["focal"], start_s=numbers["start"], exposure_s=numbers["exposure"], axes=axes
+        )
     except ValueError as error:
-        raise FieldError("gyro", str(error).replace(f"{file}: ", "").replace(str(file), "the file")) from None
-    return {"paths": [{"weight": 1.0, **_described(path)}]}
+        field = "gyro_axes" if str(error).startswith("axes: ") else "gyro"
+        said = str(error).removeprefix("axes: ")
+        raise FieldError(field, said.replace(f"{file}: ", "").replace(str(file), "the file")) from None
+    read = f"{trace.columns}; axes: {axes}"
+    warnings = [read, *(line.removeprefix(f"{file}: ") for line in trace.warnings)]
+    return {"paths": [{"weight": 1.0, **_described(path)}], "warnings": warnings}
 
 
 def extract(file: Path, folder: Path, *, force: bool = False) -> list[Path]:

@@ -63,7 +63,7 @@ _LEAST_CONTRAST = 2 / 255
 _LOADING = {"motdiff": (0.12, 0.28, 0.36), "pmp": (0.12, 0.26, 0.32), "coded": (0.02, 0.05, 0.06)}
 """Of an estimate's share: torch is on its way, is there, and so is the estimator; docs/decisions/code.md."""
 _NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}, "coded": {"codes"}}
-_ALLOWED = {"motdiff": {"samples"}, "gyro": {"rate_unit"}, "point": {"codes"}}
+_ALLOWED = {"motdiff": {"samples"}, "gyro": {"axes", "rate_unit"}, "point": {"codes"}}
 
 
 def check_options(method: str, options: Mapping[str, object]) -> None:
@@ -101,6 +101,7 @@ def make_estimator(
     focal_px: float | None = None,
     start_s: float | None = None,
     exposure_s: float | None = None,
+    axes: str | None = None,
     codes: Sequence[ShutterCode] | None = None,
     progress: Callable[[float, str], None] = lambda _share, _what: None,
 ) -> Estimator:
@@ -117,6 +118,9 @@ def make_estimator(
         For "reference": a sharp photo of the same scene.
     gyro, focal_px, start_s, exposure_s
         For "gyro": the recording, the focal length in px, and when on the recording's clock the shutter was open.
+    axes : str, optional
+        For "gyro": directions of the recording's axes, as of :func:`motdiff.gyro.image_rates_rad_s`; taken as
+        "right,down,forward", with a warning, when omitted. A phone held upright has "right,up,back".
     codes : sequence of ShutterCode, optional
         For "coded", and for "point" where the light was photographed through codes: of each photo, in order.
     progress : callable, optional
@@ -137,6 +141,7 @@ def make_estimator(
             "focal_px": focal_px,
             "start_s": start_s,
             "exposure_s": exposure_s,
+            "axes": axes,
             "codes": codes,
         },
     )
@@ -155,7 +160,7 @@ def make_estimator(
     ):
         from motdiff.estimators.gyro import GyroEstimator
 
-        return GyroEstimator(gyro, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s)
+        return GyroEstimator(gyro, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s, axes=axes)
     if method == "point" and codes is None:
         from motdiff.estimators.point import PointEstimator
 
@@ -236,6 +241,7 @@ def estimate_motion(
     focal_px: float | None = None,
     start_s: float | None = None,
     exposure_s: float | None = None,
+    axes: str | None = None,
     codes: Sequence[ShutterCode] | None = None,
     progress: Callable[[float, str], None] = lambda _share, _what: None,
 ) -> Calibration:
@@ -249,7 +255,7 @@ def estimate_motion(
     method : str or Estimator, optional
         One of :data:`METHODS`; an estimator of your own, or its ``module:name``. "motdiff" when omitted, "coded" with
         ``codes``.
-    samples, seed, sharp, gyro, focal_px, start_s, exposure_s, progress
+    samples, seed, sharp, gyro, focal_px, start_s, exposure_s, axes, progress
         As of :func:`make_estimator`.
     codes : sequence of ShutterCode, optional
         The code of each photo, all open for an open shutter: the order in time of the motion is found as well. For
@@ -273,7 +279,7 @@ def estimate_motion(
     """
     options: dict[str, Any] = {
         "samples": samples, "sharp": sharp, "gyro": gyro, "focal_px": focal_px, "start_s": start_s,
-        "exposure_s": exposure_s, "codes": codes,
+        "exposure_s": exposure_s, "axes": axes, "codes": codes,
     }  # fmt: skip
     if method is None:
         method = "motdiff" if codes is None else "coded"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from motdiff.gyro import trajectory_from_gyro
+from motdiff.gyro import DEFAULT_AXES, GyroTrace, trajectory_from_gyro
 from motdiff.io.gyro_tables import read_gyro
 from motdiff.io.trajectories import read_motion, stated_uncertainty_px
 from motdiff.trajectory import Trajectory
@@ -26,8 +26,10 @@ def stored_paths(file: Path | str) -> tuple[tuple[tuple[float, Trajectory], ...]
     return ((stored.weight, stored.trajectory), *stored.alternatives), stated_uncertainty_px(stored, file)
 
 
-def gyro_motion(file: Path | str, *, focal_px: float, start_s: float, exposure_s: float) -> Trajectory:
-    """Return the motion of one exposure of a recording.
+def gyro_motion(
+    file: Path | str, *, focal_px: float, start_s: float, exposure_s: float, axes: str = DEFAULT_AXES
+) -> tuple[Trajectory, GyroTrace]:
+    """Return the motion of one exposure of a recording, and the recording.
 
     Parameters
     ----------
@@ -36,10 +38,14 @@ def gyro_motion(file: Path | str, *, focal_px: float, start_s: float, exposure_s
         Focal length, px.
     start_s, exposure_s : float
         When on the recording's clock the shutter was open, and for how long, seconds.
+    axes : str
+        Directions of the recording's axes, as of :func:`motdiff.gyro.image_rates_rad_s`.
 
     Raises
     ------
     ValueError, OSError
         If the file is no recording, or does not cover the exposure.
     """
-    return trajectory_from_gyro(read_gyro(file), focal_px=focal_px, start_s=start_s, exposure_s=exposure_s)
+    trace = read_gyro(file)
+    path = trajectory_from_gyro(trace, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s, axes=axes)
+    return path, trace

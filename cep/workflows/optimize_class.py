@@ -231,12 +231,15 @@ class ClassTask:
         Motions to search on, and others to judge by.
     described : mapping
         What the code file says of the problem.
+    warnings : tuple of str
+        Of the recording.
     """
 
     problem: SearchProblem
     motions: tuple[Trajectory, ...]
     others: tuple[Trajectory, ...]
     described: Mapping[str, Any]
+    warnings: tuple[str, ...] = ()
 
 
 def class_task(
@@ -259,7 +262,7 @@ def class_task(
     folder : Path, optional
         As ``cep calibrate FOLDER`` writes it.
     kind : str, optional
-        Instead: :data:`WALKS` or a gyro recording.
+        Instead: :data:`WALKS` or a gyro recording, whose z axis is the line of sight; x and y may point anywhere.
     length_px, count
         Of the drawn motions; 60 px and :data:`DRAWN` when omitted.
 
@@ -271,6 +274,7 @@ def class_task(
     if how.method != "anneal":
         raise ValueError("--method: a code for a class of motions needs anneal")
     others: tuple[Trajectory, ...] = ()
+    warnings: tuple[str, ...] = ()
     drawn = None
     if folder is not None:
         if length_px is not None or count is not None:
@@ -280,7 +284,14 @@ def class_task(
     else:
         assert kind is not None
         length_px = _LENGTH_PX if length_px is None else length_px
-        motions, others = _drawn(kind, length_px, wish.chips * wish.chip_ns * 1e-9, count or DRAWN, how.seed)
+        if not 1 <= length_px <= 1000:
+            raise ValueError(f"--length: must lie within 1..1000 px, got {length_px:g}")
+        if kind != WALKS and not Path(kind).exists():
+            raise ValueError(f"--class: must be {WALKS} or a gyro recording, and there is no file {kind}")
+        gyro = None if kind == WALKS else read_gyro(kind)
+        warnings = () if gyro is None else gyro.warnings
+        exposure_s = wish.chips * wish.chip_ns * 1e-9
+        motions, others = _drawn(kind, gyro, length_px, exposure_s, count or DRAWN, how.seed)
         drawn = {"kind": kind, "length_px": length_px}
     wish = replace(wish, objective=wish.objective or "mse", rule="mean", direction="forward")
     rng = np.random.default_rng([how.seed, 2])
@@ -290,17 +301,12 @@ def class_task(
     described = {
         "folder": None if folder is None else str(folder), "class": drawn, **described_search(problem, how),
     }  # fmt: skip
-    return ClassTask(problem, motions, others, described)
+    return ClassTask(problem, motions, others, described, warnings)
 
 
 def _drawn(
-    kind: str, length_px: float, exposure_s: float, count: int, seed: int
+    kind: str, gyro: GyroTrace | None, length_px: float, exposure_s: float, count: int, seed: int
 ) -> tuple[tuple[Trajectory, ...], tuple[Trajectory, ...]]:
-    if not 1 <= length_px <= 1000:
-        raise ValueError(f"--length: must lie within 1..1000 px, got {length_px:g}")
-    if kind != WALKS and not Path(kind).exists():
-        raise ValueError(f"--class: must be {WALKS} or a gyro recording, and there is no file {kind}")
-    gyro = None if kind == WALKS else read_gyro(kind)
     made = []
     for part, number in enumerate((count, OTHERS)):
         rng = np.random.default_rng([seed, 4, part])

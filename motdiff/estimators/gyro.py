@@ -37,8 +37,9 @@ class GyroEstimator:
     start_s : float, seconds
         Opening of the shutter, on the trace's clock.
     exposure_s : float, seconds
-    axes : two signed sensor axes
-        As :func:`motdiff.gyro.image_rates_rad_s`.
+    axes : str, optional
+        Directions of the sensor's axes, as of :func:`motdiff.gyro.image_rates_rad_s`. When omitted they are taken as
+        :data:`motdiff.gyro.DEFAULT_AXES`, with a warning: wrong axes give a mirrored or turned path.
     size : int, px
         Frame of the PSF; a longer path gets the frame it needs.
     """
@@ -47,7 +48,7 @@ class GyroEstimator:
     focal_px: float
     start_s: float
     exposure_s: float
-    axes: tuple[str, str] = DEFAULT_AXES
+    axes: str | None = None
     size: int = PSF_PX
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
@@ -61,7 +62,8 @@ class GyroEstimator:
         """
         height, width = crops.luminance(photo).shape
         window = {"start_s": self.start_s, "exposure_s": self.exposure_s}
-        trajectory = trajectory_from_gyro(self.trace, focal_px=self.focal_px, axes=self.axes, **window)
+        axes = DEFAULT_AXES if self.axes is None else self.axes
+        trajectory = trajectory_from_gyro(self.trace, focal_px=self.focal_px, axes=axes, **window)
         needed = trajectory.frame_size()
         if needed > max(height, width):  # before anything of that size is made
             raise ValueError(
@@ -69,12 +71,17 @@ class GyroEstimator:
                 f"of {needed} px that this needs is larger than the photo ({width} x {height} px): are they in deg/s "
                 "(rate_unit='deg'), or is the focal length or the unit of the times another?"
             )
-        roll = roll_rad(self.trace, axes=self.axes, **window)
+        roll = roll_rad(self.trace, axes=axes, **window)
         corner_px = 0.5 * math.hypot(height, width)
         inside = (self.trace.t_s >= self.start_s) & (self.trace.t_s <= self.start_s + self.exposure_s)
         readings = int(inside.sum())
         step_s = 1 / self.trace.sample_rate_hz
-        warnings = []
+        warnings = [*self.trace.warnings]
+        if self.axes is None:
+            warnings.append(
+                f"axes: taken as {axes} (x, y, z as seen from behind the camera); other axes, as right,up,back of an "
+                "upright phone, give a mirrored or turned path"
+            )
         if roll * corner_px > _ROLL_LIMIT_PX:
             warnings.append(
                 f"Roll about the optical axis moved the corners by {roll * corner_px:.1f} px; "
@@ -100,7 +107,8 @@ class GyroEstimator:
             "focal_px": self.focal_px,
             "start_s": self.start_s,
             "exposure_s": self.exposure_s,
-            "axes": list(self.axes),
+            "axes": axes,
+            "columns": self.trace.columns,
         }
         return MotionEstimate(
             "gyro", (trajectory,), (1.0,), trajectory.psf(frame), (1 - lost) * sampled, tuple(warnings), details

@@ -580,14 +580,14 @@ async function openFile(file) {
 
 async function openGyro(file) {
   calm("gyro");
-  const query = new URLSearchParams(["focal", "start", "exposure"].map((name) => [name, $(`gyro_${name}`).value]));
+  const query = new URLSearchParams(["focal", "start", "exposure", "axes"].map((name) => [name, $(`gyro_${name}`).value]));
   try {
     takePaths(await ask(`/api/upload/gyro?${query}`, { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: file }));
   } catch (error) { complain(error, ["gyro"]); }
 }
 
 function takePaths(found) {
-  estimate = { paths: found.paths, path_error: found.path_error, warnings: [] };
+  estimate = { paths: found.paths, path_error: found.path_error, warnings: found.warnings ?? [] };
   remember("studio-estimate", estimate);
   $("photo-image").hidden = true;
   change({ motion: pathOf(found.paths[0]), path_error: found.path_error ?? null, photo: "" });

@@ -89,9 +89,7 @@ def refused(cep, workplace):
 
 def test_all_commands_are_walked():
     assert {name for name in functions() if not name.startswith("hw ")} - {"upload"} == set(FINE)
-    assert {"--steps", "--photons", "--exposure", "--drift", "--flips", "--workers"} <= {
-        name for _, name, _ in numeric()
-    }
+    assert {"--steps", "--photons", "--focal", "--drift", "--flips", "--workers"} <= {name for _, name, _ in numeric()}
 
 
 @pytest.mark.parametrize(("command", "option", "kind"), list(numeric()))
@@ -100,6 +98,17 @@ def test_a_bad_number_is_refused_by_the_options_name(refused, command, option, k
         line = refused(command, option, value)
         assert re.search(rf"(?<![\w-]){option}(?![\w-])", line), line
         assert not re.search(r"(?<![\w-])[a-z]+_[a-z_]+: ", line), line
+
+
+EXPOSED = [command for command in FINE if "--exposure" in dict(declared(functions()[command]))]
+
+
+@pytest.mark.parametrize("command", EXPOSED)
+def test_an_exposure_is_the_same_text_in_every_command(refused, command):
+    assert {"advise", "calibrate", "demo", "optimize"} == set(EXPOSED)
+    for value in ("1/0", "-0.05", "soon", "20 minutes"):
+        line = refused(command, "--exposure", value)
+        assert line.strip() == f"cep: --exposure: must be a time above 0 as 1/30, 0.02, 20ms or 500us, got {value!r}"
 
 
 @pytest.mark.parametrize(

@@ -205,6 +205,15 @@ def test_a_gyroscope_gives_a_motion_of_known_direction(client):
     (path,) = found.json()["paths"]
     assert path["length_px"] == pytest.approx(1000 * 0.2 * 0.05, rel=0.01)
     assert path["direction"] == "known"
+    assert path["x"][-1] < path["x"][0]  # about the camera's axis that points down: the image runs left
+    assert found.json()["warnings"][0] == "time: t_s, in s; rates: wx, wy, wz, in rad/s; axes: right,down,forward"
+    log = f"t_s,wx,wy,wz\n{rows}\n".encode()
+    upright = client.post("/api/upload/gyro?focal=1000&start=0.01&exposure=1/20&axes=right,up,back", content=log)
+    (other,) = upright.json()["paths"]
+    np.testing.assert_allclose(other["x"], np.negative(path["x"]), atol=1e-9)
+    for wrong, field in (("exposure=0.05&axes=x", "gyro_axes"), ("exposure=soon", "gyro_exposure")):
+        refused = client.post(f"/api/upload/gyro?focal=1000&start=0.01&{wrong}", content=log).json()["error"]
+        assert refused["field"] == field
     late = client.post("/api/upload/gyro?focal=1000&start=9&exposure=0.05", content=f"t_s,wx,wy,wz\n{rows}\n".encode())
     assert late.json()["error"]["field"] == "gyro"
 
