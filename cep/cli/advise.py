@@ -66,7 +66,7 @@ def advise(
     camera: CameraFile = None,
     photons: Photons = None,
     read_noise: ReadNoise = None,
-    output: Annotated[Path, output_option("Figure to write: .png, .pdf or .svg.")] = Path("advice.png"),
+    output: Annotated[Path | None, output_option("Also draw the gains over the light: .png, .pdf or .svg.")] = None,
     tables: TableFile = None,
     force: Force = False,
     seed: Seed = 0,
@@ -105,7 +105,8 @@ def advise(
         from hw.device import load_profile
         from motdiff.io.trajectories import stated_uncertainty_px
 
-        check_figure_name(output)
+        if output is not None:
+            check_figure_name(output)
         own = [load_code(source) for source in code or ()]
         if len({one.chips for one in own} | ({chips} if chips else set())) > 1:
             raise ValueError("--code: every code must have as many chips, those of --chips")
@@ -128,12 +129,14 @@ def advise(
         error_px = path_error or 0.0
         gains: Mapping[int, float] = {}
         problem = None if count is None else problem_of(count)
-        claim([output, *table_files(tables)], force=force, inputs=[] if trajectory is None else [trajectory])
+        figures = [] if output is None else [output]
+        claim([*figures, *table_files(tables)], force=force, inputs=[] if trajectory is None else [trajectory])
         if problem is None:
             count, gains = suited_chips(problem_of, path_error_px=error_px, seed=seed, progress=part(tick, 0.0, 0.4))
             problem = problem_of(count)
         advice = compare_ways(problem, *own, path_error_px=error_px, seed=seed, progress=part(tick, 0.4, 1.0))
-        save(advice_figure(advice), output)
+        if output is not None:
+            save(advice_figure(advice), output)
     judged = [way for one in own for way in advice.here.ways if way.code.bits == one.bits]
     known = exposure is not None or chip_ns is not None
     warnings = [] if known else ["the exposure is taken as 50 ms; --exposure says how long it is"]
@@ -163,7 +166,7 @@ def _chip_time_ns(stated: set[int | None], chips: int | None, exposure_s: float 
 
 
 def _show(
-    console: Console, advice: Advice, own: Sequence[Way], other_chips_db: Mapping[int, float], plot: Path
+    console: Console, advice: Advice, own: Sequence[Way], other_chips_db: Mapping[int, float], plot: Path | None
 ) -> None:
     from cep.io.formatting import duration
     from cep.workflows.chip_count import in_words_of_chips
@@ -200,4 +203,5 @@ def _show(
     others = in_words_of_chips(other_chips_db)
     chip, whole = (duration(time_ns * 1e-9) for time_ns in (problem.chip_ns, problem.chips * problem.chip_ns))
     console.print(f"{problem.chips} chips of {chip}, {whole} in all{f'; {others}' if others else ''}")
-    console.print(f"{plot}: gains over the light")
+    if plot is not None:
+        console.print(f"{plot}: gains over the light")

@@ -149,16 +149,17 @@ def deblur(
             tick(0.75, "restoring")
             sharpened = sharpen(photo.pixels, estimate)
             write_image(target, sharpened.image, bits=photo.bits, gamma=gamma)
-            tick(1.0)
             seconds = time.perf_counter() - started
-            _finish_alone(sharpened, target, seconds=seconds, seed=seed, warnings=photo.warnings, as_json=as_json)
-            return
-        restored = restore(
-            photo.pixels, kernel, trajectory=motion, code=shutter, method=method, progress=part(tick, 0.05, 0.98),
-            **options,
-        )  # fmt: skip
-        restored.save(target, bits=photo.bits, gamma=gamma)
+        else:
+            restored = restore(
+                photo.pixels, kernel, trajectory=motion, code=shutter, method=method, progress=part(tick, 0.05, 0.98),
+                **options,
+            )  # fmt: skip
+            restored.save(target, bits=photo.bits, gamma=gamma)
         tick(1.0)
+    if alone:
+        _finish_alone(sharpened, target, seconds=seconds, seed=seed, warnings=photo.warnings, as_json=as_json)
+        return
     direction, test = restored.direction or ("unknown" if blind else "given by the PSF"), restored.direction_test
     result = {
         "image": target,

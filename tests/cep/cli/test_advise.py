@@ -23,6 +23,18 @@ def test_the_answer_comes_first(cep, workplace):
     assert read_image("noisy.png").ndim == 3
 
 
+def test_a_figure_is_drawn_where_it_is_asked_for_alone(cep, workplace):
+    """The answer is on the page: asking twice must not fail over a file of the first time."""
+    given = ("--chips", "4", "--linear", "12", "--read-noise", "50")
+    before = sorted(Path().iterdir())
+    first, second = (cep.succeeds("advise", *given) for _ in range(2))
+    assert sorted(Path().iterdir()) == before
+    assert first == second
+    assert first["plot"] is None
+    assert cep.succeeds("advise", *given, "-o", "told.png")["plot"] == "told.png"
+    assert "told.png: exists already" in cep.refuses("advise", *given, "-o", "told.png")
+
+
 def test_json_holds_what_is_said(cep, workplace):
     found = cep.succeeds("advise", *ALONG, "--read-noise", "50", "--exposure", "1/50", "-o", "advice.png")
     assert set(found) >= FIELDS

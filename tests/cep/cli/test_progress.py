@@ -1,17 +1,21 @@
 """What commands show while they work: something from the first second, and a share that only grows, to the whole."""
 
+import ast
 import io
 import json
 import re
 import subprocess
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import cep.cli
 from cep.cli.console import progress
+from cep.cli.main import main
 from cep.io.images import write_image
 from motdiff.estimators.base import MotionEstimate
 from motdiff.simulate import blur_valid
@@ -173,3 +177,59 @@ def test_the_share_of_a_folder_counts_its_photos(cep, workplace, told, quick_bli
     cep.succeeds("calibrate", "shots", "--workers", "1")
     (shares,) = told
     assert shares == pytest.approx([0, 1 / 3, 2 / 3, 1])
+
+
+class Terminal(io.StringIO):
+    """A stream of a terminal that also notes what it is sent in ``log``, under its name."""
+
+    def __init__(self, name, log):
+        super().__init__()
+        self.name, self.log = name, log
+
+    def isatty(self):
+        return True
+
+    def write(self, text):
+        self.log.append((self.name, text))
+        return len(text)
+
+
+@pytest.mark.parametrize("options", [(), ("--linear", "7"), ("--json",)])
+def test_the_answer_goes_to_stdout_after_the_bar_is_gone(workplace, monkeypatch, quick_blind, options):
+    """On one terminal of 80 columns, where the answer would follow the bar on its line."""
+    write_image("photo.png", blur_valid(np.random.default_rng(0).random((120, 120)), BENT.psf(16)))
+    log = []
+    with monkeypatch.context() as patch:
+        for name in ("stdout", "stderr"):
+            patch.setattr(sys, name, Terminal(name, log))
+        patch.setenv("COLUMNS", "80")
+        patch.setenv("TERM", "xterm")
+        assert main(["deblur", "photo.png", *options, "-o", "out.png"]) == 0
+    before, answer, after = split_at_stdout(log)
+    assert any("restoring" in text for _, text in before)
+    assert "".join(text for _, text in before).endswith("\x1b[2K")  # the bar's line is empty
+    assert "out.png" in "".join(text for _, text in answer)
+    assert not any("restoring" in text for _, text in after)
+
+
+def split_at_stdout(log):
+    """Return what was written before the first and after the last text on stdout, and what is between."""
+    places = [i for i, (name, text) in enumerate(log) if name == "stdout" and text.strip()]
+    return log[: places[0]], log[places[0] : places[-1] + 1], log[places[-1] + 1 :]
+
+
+def calls_in(tree):
+    """Names of the functions that code calls itself: not those that it passes on."""
+    return {node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
+
+
+@pytest.mark.parametrize("file", sorted(Path(cep.cli.__file__).parent.glob("*.py")), ids=lambda file: file.stem)
+def test_no_command_prints_while_its_bar_is_shown(file):
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    functions = {node.name: calls_in(node) for node in tree.body if isinstance(node, ast.FunctionDef)}
+    printing = {"finish", "finish_folder", "complain", "warn"}
+    while more := {name for name, calls in functions.items() if calls & printing} - printing:
+        printing |= more
+    for node in ast.walk(tree):
+        if isinstance(node, ast.With) and "progress" in {name for item in node.items for name in calls_in(item)}:
+            assert not set().union(*map(calls_in, node.body)) & printing, f"line {node.lineno}"
