@@ -13,6 +13,7 @@ __all__ = ["Interval", "Summary", "crossed_interval", "mean_interval", "summariz
 
 FloatArray = NDArray[np.float64]
 
+_FEWEST_CLUSTERS = 3  # two show their spread by one difference: Student's t then reaches 13 standard errors
 _RESAMPLES = 10_000
 _AT_ONCE = 2_000_000  # numbers drawn at a time: 16 MB
 
@@ -46,7 +47,7 @@ class Interval:
     Attributes
     ----------
     mean, low, high : float
-        Infinite ends where there is one cluster only, which gives no estimate of the spread between clusters.
+        Infinite ends where there are one or two clusters, which say next to nothing of the spread between clusters.
     level : float
         Probability that such an interval holds the true mean.
     n, clusters : int
@@ -118,8 +119,8 @@ def mean_interval(
     count = len(numbers)
     offset = float(sums.sum() / sizes.sum())
     mean = float(x[0]) + offset
-    if count == 1:
-        return Interval(mean, -np.inf, np.inf, level, x.size, 1)
+    if count < _FEWEST_CLUSTERS:
+        return Interval(mean, -np.inf, np.inf, level, x.size, count)
     error = float(_errors(np.ones((1, count)), sums, sizes)[0])
     if error == 0:  # clusters that differ by rounding only have no spread
         return Interval(mean, mean, mean, level, x.size, count)
@@ -159,8 +160,8 @@ def crossed_interval(
     mean = float(x.mean())
     counts, variances = zip(*(_clustered(x - mean, labels) for labels in (clusters, others)), strict=True)
     scarcest = min(counts)
-    if scarcest == 1:
-        return Interval(mean, -np.inf, np.inf, level, x.size, 1)
+    if scarcest < _FEWEST_CLUSTERS:
+        return Interval(mean, -np.inf, np.inf, level, x.size, scarcest)
     both = _clustered(x - mean, list(zip(clusters, others, strict=True)))[1]
     error = float(np.sqrt(max(sum(variances) - both, *variances)))
     reach = float(stats.t.ppf((1 + level) / 2, scarcest - 1)) * error

@@ -74,7 +74,7 @@ class Entry:
 
     @property
     def finite_interval(self) -> Interval | None:
-        """The interval if it is finite; that of a single photo or motion is infinite."""
+        """The interval if it is finite; that of one or two photos or motions is infinite."""
         return self.interval if self.interval is not None and math.isfinite(self.interval.high) else None
 
 

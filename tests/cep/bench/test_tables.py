@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from cep.bench.statistics import mean_interval, summarized
-from cep.bench.table_io import TABLES_SCHEMA, tables_csv, tables_json, tables_markdown
+from cep.bench.table_io import TABLES_SCHEMA, tables_csv, tables_json, tables_latex, tables_markdown
 from cep.bench.tables import Column, differences, tabulate
 from cep.cli.console import table as rich_table
 from cep.cli.jobs import show_tables
@@ -62,6 +62,19 @@ def test_a_larger_mean_alone_is_not_bold():
     assert ours.summary.mean > table.rows["plain"][0].summary.mean
     assert ours.lead.low < 0 < ours.lead.high
     assert bold(table) == []
+
+
+@pytest.mark.parametrize("cluster", [1, (1, 2)])
+@pytest.mark.parametrize(("photos", "shown"), [(1, False), (2, False), (PHOTOS, True)])
+def test_the_interval_of_one_or_two_photos_is_not_printed(cluster, photos, shown):
+    """However alike they are: two photos show their spread by one difference."""
+    some = {name: own for name, own in measured(ours=gain(2)).items() if int(name[1].split()[1]) < photos}
+    constant = {name: {"psnr_db": 25.0} for name in some}
+    for figures in (some, constant):
+        table = made(figures, cluster=cluster)
+        assert ("(" in table.lines()[0][1]) == shown
+        assert ("(" in tables_latex([table]).split("ours", 1)[1]) == shown
+        assert (table.rows["ours"][0].finite_interval is not None) == shown
 
 
 def test_one_photo_is_no_evidence():
