@@ -84,7 +84,9 @@ def _add_train(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.add_argument("config", type=Path, help="TOML file of the run")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the run: checkpoint, log, plot")
     parser.add_argument("--device", default="", help="cpu or cuda; the GPU of this process where there is one")
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="end this piece after so many minutes")
+    parser.add_argument(
+        "--minutes", type=float, default=float("inf"), help="end this piece after so many minutes, with all it does"
+    )
     parser.add_argument("--validate-every", type=int, default=1000, metavar="STEPS")
     parser.add_argument("--save-every", type=float, default=60.0, metavar="SECONDS")
     parser.set_defaults(command=_train, check=check_folder)

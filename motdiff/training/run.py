@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import time
@@ -33,6 +34,8 @@ __all__ = ["Pace", "Sources", "make_sources", "train", "validation_mnc", "valida
 _VALIDATION_SEED = 7
 _VALIDATION_BATCH = 32
 _SAMPLING_STEPS = 10
+_TRIAL_PHOTOS = 2
+_SLACK_S = 5.0  # by which a last validation may exceed the minutes of a piece
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,9 @@ class Pace:
     Attributes
     ----------
     minutes : float
-        The piece ends after so many (and goes on with the next call).
+        The piece ends after so many (and goes on with the next call), at least one update done. They count everything:
+        reading or simulating samples, updates, and the validation at the end, which is left out where it would take
+        more than half of them.
     save_s : float, seconds
         Between two checkpoints.
     validate_steps : int
@@ -155,27 +160,50 @@ def train(
             log.validated(trainer.step, validation_mnc(trainer, sources.validation), loss=trainer.loss)
 
         validated = log.resume(trainer.step, between=not due())
+        timed = trainer.leads and math.isfinite(pace.minutes)
+        validation_s = _validation_time_s(trainer, sources.validation) if timed else 0.0
+        end = began + 60 * pace.minutes
+        updates_end = end - (validation_s if validation_s <= 0.5 * 60 * pace.minutes else 0.0)
         with _asked_to_stop() as asked:
             while trainer.step < config.optimiser.steps:
                 if trainer.leads and trainer.step and due() and not validated:
                     validate()
+                started = time.monotonic()
                 losses, validated = trainer.update(sources.training), False
                 now = time.monotonic()
                 log.step(trainer.step, losses, batch=config.optimiser.batch, seconds=trainer.seconds)
-                if _agreed(asked() or now - began > 60 * pace.minutes, device=trainer.device):
+                another = now + (now - started)  # the end of another update
+                if due():
+                    another += validation_s
+                if _agreed(asked() or another > updates_end, device=trainer.device):
                     break
                 if now - saved > pace.save_s:
                     trainer.save(place / "checkpoint")
                     saved = time.monotonic()
         trainer.save(place / "checkpoint")
-        if trainer.leads:
-            if not validated:
+        if trainer.leads and not validated:
+            finished = trainer.step == config.optimiser.steps
+            if finished or time.monotonic() + validation_s <= end + _SLACK_S:
                 validate()
+            else:
+                log.say(f"step {trainer.step}: not validated, which takes about {validation_s / 60:.1f} min")
+        if trainer.leads:
             log.close()
     finally:
         if distributed:
             torch.distributed.destroy_process_group()
     return trainer
+
+
+def _validation_time_s(trainer: Trainer, batches: tuple[Batch, ...]) -> float:
+    """Seconds that a validation takes, as a few photos predict; twice, for the first time may load code."""
+    few = batches[0].split(_TRIAL_PHOTOS)[0]
+    seconds = []
+    for _ in range(2):
+        began = time.monotonic()
+        validation_scores(trainer, (few,))
+        seconds.append(time.monotonic() - began)
+    return min(seconds) * sum(map(len, batches)) / len(few)
 
 
 def validation_mnc(trainer: Trainer, batches: tuple[Batch, ...], *, steps: int = _SAMPLING_STEPS) -> float:

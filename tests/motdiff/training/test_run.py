@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -25,10 +26,10 @@ from motdiff.training.checkpoint import read_checkpoint
 from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import LiveSource, PreparedSource
 from motdiff.training.log import read_log
-from motdiff.training.loop import Trainer
+from motdiff.training.loop import Losses, Trainer
 from motdiff.training.motion_bank import MotionMix
 from motdiff.training.prepared import prepare, read_shards
-from motdiff.training.run import Pace, make_sources, train, validation_mnc
+from motdiff.training.run import Pace, Sources, make_sources, train, validation_mnc
 from motdiff.training.simulation import Photography
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -180,6 +181,53 @@ def test_no_minutes_are_one_step_and_the_next_piece_goes_on(prepared, tmp_path, 
     train(config, tmp_path)
     pieces, expected = (read_checkpoint(folder / "checkpoint").tensors for folder in (tmp_path, whole))
     assert all(torch.equal(pieces[name], tensor) for name, tensor in expected.items())
+
+
+class Photos:
+    """So many photos to validate on, which nobody looks at."""
+
+    def __init__(self, count):
+        self.count = count
+
+    def __len__(self):
+        return self.count
+
+    def split(self, size):
+        return [Photos(min(size, self.count - first)) for first in range(0, self.count, size)]
+
+
+@pytest.mark.parametrize(
+    ("minutes", "photo_s", "validated"),
+    [(1, 1.0, False), (1, 0.05, True), (10, 1.0, True), (4, 1.0, False), (0, 1.0, False)],
+)
+def test_the_minutes_count_all_that_a_piece_does(prepared, tmp_path, monkeypatch, minutes, photo_s, validated):
+    """By a clock of its own: 20 s for the samples, 4 s an update, 256 photos to validate on."""
+    clock = SimpleNamespace(seconds=0.0, monotonic=lambda: clock.seconds)
+    config = from_prepared(prepared, optimiser=replace(ONCE, steps=1_000_000))
+
+    def sources(*_arguments, **_options):
+        clock.seconds += 20
+        return Sources(training=None, validation=(Photos(32),) * 8)
+
+    def update(trainer, _source):
+        clock.seconds += 4
+        trainer.step += 1
+        return Losses(1.0, 1.0, 0.0, 1.0, 1.0)
+
+    def scores(_trainer, batches, **_options):
+        photos = sum(map(len, batches))
+        clock.seconds += photo_s * photos
+        return np.full(photos, 0.5)
+
+    monkeypatch.setattr("motdiff.training.run.time", clock)
+    monkeypatch.setattr("motdiff.training.run.make_sources", sources)
+    monkeypatch.setattr("motdiff.training.run.Trainer.update", update)
+    monkeypatch.setattr("motdiff.training.run.validation_scores", scores)
+    trainer = train(config, tmp_path, pace=Pace(minutes=minutes))
+    assert trainer.step >= 1
+    if minutes:
+        assert 60 * minutes - 8 <= clock.seconds <= 60 * minutes + 5
+    assert (tmp_path / "progress.png").exists() == validated
 
 
 @pytest.fixture
