@@ -17,8 +17,7 @@ from cep.studio.fields import FieldError
 from cep.studio.state import path_fields, read_state, saved_setting
 from cep.studio.views import STUDIO_SCHEMA, Views
 from cep.workflows.catalogue import shutter_name
-from cep.workflows.motions import gyro_motion, stored_paths
-from motdiff.gyro import DEFAULT_AXES
+from cep.workflows.motions import DEFAULT_AXES, gyro_motion, stored_paths
 
 __all__ = ["EXTRACTED", "extract", "opened_document", "opened_gyro", "stored_state"]
 

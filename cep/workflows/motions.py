@@ -9,7 +9,7 @@ from motdiff.io.gyro_tables import read_gyro
 from motdiff.io.trajectories import read_motion, stated_uncertainty_px
 from motdiff.trajectory import Trajectory
 
-__all__ = ["gyro_motion", "stored_paths"]
+__all__ = ["DEFAULT_AXES", "gyro_motion", "stored_paths"]
 
 
 def stored_paths(file: Path | str) -> tuple[tuple[tuple[float, Trajectory], ...], float | None]:
