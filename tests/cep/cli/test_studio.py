@@ -140,6 +140,7 @@ def test_a_state_with_a_hostile_field_is_refused_by_its_name(cep, saved, field, 
         ("code__bits", HOSTILE, "code.bits"),
         ("code__bits", "1101000111010111", "code.bits"),
         ("code__chip_ns", 3, "code.chip_ns"),
+        ("code__problem", {"device": {"name": HOSTILE}}, "code.problem.device"),
         ("commands", [{}], "commands"),
     ],
 )  # fmt: skip
@@ -153,6 +154,15 @@ def test_what_is_extracted_besides_is_made_from_the_state_too(cep, saved):
     design = saved.parent / "design"
     assert json.loads((design / "code.json").read_text())["metrics"]["min_mtf"] == pytest.approx(measured) != 0.75
     assert "touch" not in (design / "trajectory.json").read_text()
+
+
+def test_the_shutter_of_the_state_goes_with_the_code(cep, saved):
+    state = {**SETTING, "device": "flc"}
+    document = json.loads(json.dumps(Views().saved(read_setting(state), state)))
+    saved.write_text(json.dumps(document))
+    assert "--device flc" in extracted(cep, saved)[0]
+    code = json.loads((saved.parent / "design" / "code.json").read_text())
+    assert code["problem"]["device"] == document["code"]["problem"]["device"]
 
 
 def test_a_page_is_not_begun_with_a_malformed_state(cep, saved):
