@@ -6,7 +6,9 @@ import argparse
 import io
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import NoReturn
 
@@ -96,13 +98,27 @@ def _train(given: argparse.Namespace) -> None:
     from motdiff.training.config import read_config
     from motdiff.training.run import Pace, train
 
-    train(
-        read_config(given.config),
-        given.out,
-        device=_device(given.device),
-        pace=Pace(minutes=given.minutes, save_s=given.save_every, validate_steps=given.validate_every),
-        workers=os.cpu_count() or 1,
-    )
+    with _entries_of(given.config):
+        train(
+            read_config(given.config),
+            given.out,
+            device=_device(given.device),
+            pace=Pace(minutes=given.minutes, save_s=given.save_every, validate_steps=given.validate_every),
+            workers=os.cpu_count() or 1,
+        )
+
+
+@contextmanager
+def _entries_of(config: Path) -> Iterator[None]:
+    """Name the run's file in errors that begin with one of its entries, as ``data.photos: ...``."""
+    from motdiff.training.config import TrainingConfig
+
+    try:
+        yield
+    except ValueError as error:
+        if str(error).partition(".")[0] in {section.name for section in fields(TrainingConfig)}:
+            raise ValueError(f"{config}: {error}") from None
+        raise
 
 
 def _device(wanted: str) -> str:
@@ -139,16 +155,17 @@ def _prepare(given: argparse.Namespace) -> None:
 
     torch.set_num_threads(1)  # the arrays are small: more threads are slower
     shards = shard_range(given.shards)
-    source = read_source(given.config, held_out=given.held_out)
-    prepare(
-        given.out,
-        scenes=source.scenes,
-        mix=source.mix,
-        photography=source.photography,
-        shards=shards,
-        seed=source.seed,
-        on_shard=lambda shard: print(f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True),  # noqa: T201
-    )
+    with _entries_of(given.config):
+        source = read_source(given.config, held_out=given.held_out)
+        prepare(
+            given.out,
+            scenes=source.scenes,
+            mix=source.mix,
+            photography=source.photography,
+            shards=shards,
+            seed=source.seed,
+            on_shard=lambda shard: print(f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True),  # noqa: T201
+        )
 
 
 def _add_pack(commands: _Commands[argparse.ArgumentParser]) -> None:

@@ -151,7 +151,7 @@ def draw_motion(mix: MotionMix, rng: np.random.Generator, trace: GyroTrace | Non
 
 def drawn_kinds(mix: MotionMix, *, count: int, seed: int, first: int = 0) -> list[str]:
     """Kinds of the motions that :func:`build_bank` draws, by the name of their share in the mix; same arguments."""
-    trace = read_gyro(Path(mix.gyro_trace)) if mix.gyro > 0 else None
+    trace = _trace(mix)
     indices = range(first, first + count)
     return [_KINDS[_draw(mix, np.random.default_rng([seed, index]), trace)[0]] for index in indices]
 
@@ -233,8 +233,23 @@ def build_bank(mix: MotionMix, *, count: int, seed: int, first: int = 0, workers
 _Drawn = tuple[NDArray[np.float16], NDArray[np.int32], NDArray[np.float16]]
 
 
+def _trace(mix: MotionMix) -> GyroTrace | None:
+    """Read the recording of a mix that has gyro-driven motion."""
+    if mix.gyro == 0:
+        return None
+    if not Path(mix.gyro_trace).exists():
+        raise ValueError(
+            f"motions.gyro_trace: there is no {mix.gyro_trace!r} here; name a gyroscope recording of your own, or set "
+            "motions.gyro = 0"
+        )
+    try:
+        return read_gyro(mix.gyro_trace)
+    except ValueError as error:
+        raise ValueError(f"motions.gyro_trace: {error}") from None
+
+
 def _drawn(mix: MotionMix, seed: int, indices: range) -> list[_Drawn]:
-    trace = read_gyro(Path(mix.gyro_trace)) if mix.gyro > 0 else None
+    trace = _trace(mix)
     return list(_motions(mix, seed, indices, trace))
 
 

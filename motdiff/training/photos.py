@@ -16,7 +16,7 @@ from torch import Tensor
 from motdiff.io.inputs import regular_file
 from motdiff.io.outputs import write_bytes
 
-__all__ = ["PICTURES", "crops", "load_photos", "pack_photos", "split_photos"]
+__all__ = ["PICTURES", "crops", "load_photos", "load_scenes", "pack_photos"]
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 
@@ -86,17 +86,33 @@ def pack_photos(source: Path | str, target: Path | str, *, most_px: int = 512, q
     return len(buffer.getvalue())
 
 
-def split_photos(photos: Sequence[Tensor], held_out: int) -> tuple[list[Tensor], list[Tensor]]:
-    """Split photos into those to train on and every ``held_out``-th for validation.
+def load_scenes(source: str, *, held_out: int, least_px: int, device: str = "cpu") -> tuple[list[Tensor], list[Tensor]]:
+    """Read a run's photos: those to train on, and every ``held_out``-th for validation.
+
+    Parameters
+    ----------
+    source, held_out
+        ``data.photos`` and ``data.held_out`` of the run.
+    least_px, device
+        As of :func:`load_photos`.
 
     Raises
     ------
     ValueError
-        If there are too few.
+        If there are no photos, or too few: one line that names the entry of the run's file.
     """
+    if not Path(source).exists():
+        raise ValueError(
+            f"data.photos: there is no {source!r} here; name a folder, or a .zip of python -m motdiff pack, of some "
+            "hundred sharp photos: your own, or a public set such as BSDS500"
+        )
+    try:
+        photos = load_photos(source, least_px=least_px, device=device)
+    except ValueError as error:
+        raise ValueError(f"data.photos: {error}") from None
     if not 2 <= held_out <= len(photos):
-        raise ValueError(f"held_out: must lie within 2..{len(photos)}, the number of photos; got {held_out}")
-    return [p for i, p in enumerate(photos) if i % held_out], list(photos[::held_out])
+        raise ValueError(f"data.held_out: must lie within 2..{len(photos)}, the number of photos; got {held_out}")
+    return [photo for i, photo in enumerate(photos) if i % held_out], list(photos[::held_out])
 
 
 def crops(photos: Sequence[Tensor], *, count: int, size: int, generator: torch.Generator) -> Tensor:

@@ -16,7 +16,7 @@ from motdiff.network.condition import PHOTO_PX
 from motdiff.psf_frame import MAP_PX
 from motdiff.training.config import read_config
 from motdiff.training.motion_bank import MotionMix, build_bank
-from motdiff.training.photos import load_photos, split_photos
+from motdiff.training.photos import load_scenes
 from motdiff.training.samples import Samples, simulate
 from motdiff.training.shards import load_shards, write_shards
 from motdiff.training.simulation import Photography
@@ -108,8 +108,8 @@ def read_source(config_file: Path | str, *, held_out: bool) -> Source:
     config = read_config(config_file)
     if not config.data.photos:
         raise ValueError(f"{config_file}: data.photos is needed to prepare samples")
-    photos = load_photos(config.data.photos, least_px=PHOTO_PX + config.photography.margin)
-    seen, unseen = split_photos(photos, config.data.held_out)
+    least_px = PHOTO_PX + config.photography.margin
+    seen, unseen = load_scenes(config.data.photos, held_out=config.data.held_out, least_px=least_px)
     seed = config.optimiser.seed + (1 if held_out else 0)
     return Source(unseen if held_out else seen, config.motions, config.photography, seed)
 

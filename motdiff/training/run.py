@@ -25,8 +25,9 @@ from motdiff.training.data import Batch, BatchSource, LiveSource, PreparedSource
 from motdiff.training.log import RunLog
 from motdiff.training.loop import Trainer
 from motdiff.training.motion_bank import build_bank
-from motdiff.training.photos import load_photos, split_photos
+from motdiff.training.photos import load_scenes
 from motdiff.training.prepared import read_shards
+from motdiff.training.samples import Samples
 from motdiff.training.targets import drawn_psfs
 
 __all__ = ["Pace", "Sources", "make_sources", "train", "validation_mnc", "validation_scores"]
@@ -93,16 +94,16 @@ def make_sources(config: TrainingConfig, *, device: torch.device | str = "cpu", 
     data, seed = config.data, config.optimiser.seed
     wanted = {"photo": config.network.backbone != "none", "physics": config.network.physics_channels > 0}
     if data.prepared:
-        known = read_shards(data.prepared)
+        known = _shards("prepared", data.prepared)
         _check_channels(config, known.kernels.shape[1])
-        held_out = read_shards(data.prepared_validation)
+        held_out = _shards("prepared_validation", data.prepared_validation)
         kept = PreparedSource(held_out, seed=_VALIDATION_SEED, symmetries=False, **wanted)
         fixed = kept.batch(0, min(data.validation, len(kept))).split(_VALIDATION_BATCH)
         return Sources(PreparedSource(known, seed=seed, **wanted), tuple(batch.to(device) for batch in fixed))
     _check_channels(config, len(QUICK_STARTS))
     chunks = [min(_VALIDATION_BATCH, data.validation - first) for first in range(0, data.validation, _VALIDATION_BATCH)]
-    scenes = load_photos(data.photos, least_px=PHOTO_PX + config.photography.margin, device=str(device))
-    seen, unseen = split_photos(scenes, data.held_out)
+    least_px = PHOTO_PX + config.photography.margin
+    seen, unseen = load_scenes(data.photos, held_out=data.held_out, least_px=least_px, device=str(device))
     bank = build_bank(config.motions, count=data.motions, seed=seed, workers=workers).to(device)
     other = build_bank(config.motions, count=data.validation, seed=seed_of(seed, _VALIDATION_SEED), workers=workers)
     check = LiveSource(other.to(device), unseen, config.photography, seed=_VALIDATION_SEED, **wanted)
@@ -228,6 +229,14 @@ def validation_scores(
             truth = psfs_of_maps(batch.dwell[:, 0]).double().cpu().numpy()
             scores += [mnc(a, b) for a, b in zip(found, truth, strict=True)]
     return np.array(scores)
+
+
+def _shards(entry: str, folder: str) -> Samples:
+    """Read prepared samples; errors name the entry of the run's file."""
+    try:
+        return read_shards(folder)
+    except ValueError as error:
+        raise ValueError(f"data.{entry}: {error}") from None
 
 
 def _check_channels(config: TrainingConfig, kernels: int) -> None:

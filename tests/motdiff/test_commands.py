@@ -250,18 +250,24 @@ CONFIGS = {
     "unknown entry": ('[data]\nphotos = "photos"\n[optimiser]\nepochs = 3\n', r"optimiser\.epochs: is not known"),
     "wrong type": ('[data]\nphotos = "photos"\n[optimiser]\nsteps = "3"\n', r"optimiser\.steps: must be of type int"),
     "wrong value": ('[data]\nphotos = "photos"\n[network]\nbackbone = "b9"\n', r"network\.backbone is 'b9'"),
-    "no such photos": (LIVE.replace('"photos"', '"nowhere"'), "nowhere: "),
-    "no such pack": (LIVE.replace('"photos"', '"photos.zip"'), r"photos\.zip: "),
-    "an empty folder": (LIVE.replace('"photos"', '"empty"'), "empty: holds no photo"),
-    "too few photos": (LIVE.replace("held_out = 2", "held_out = 99"), "held_out: "),
-    "no such samples": (PREPARED, r"seen: holds no prepared samples"),
+    "no such photos": (
+        LIVE.replace('"photos"', '"nowhere"'),
+        r"run\.toml: data\.photos: there is no 'nowhere' here; .*BSDS500$",
+    ),
+    "no such pack": (
+        LIVE.replace('"photos"', '"photos.zip"'),
+        r"run\.toml: data\.photos: there is no 'photos\.zip' here",
+    ),
+    "an empty folder": (LIVE.replace('"photos"', '"empty"'), r"run\.toml: data\.photos: empty: holds no photo"),
+    "too few photos": (LIVE.replace("held_out = 2", "held_out = 99"), r"run\.toml: data\.held_out: must lie within"),
+    "no such samples": (PREPARED, r"run\.toml: data\.prepared: seen: holds no prepared samples"),
     "no such recording": (
         LIVE.replace("max_length_px = 12", 'gyro = 1.0\ngyro_trace = "gyro.txt"'),
-        "gyro.txt",
+        r"run\.toml: motions\.gyro_trace: there is no 'gyro\.txt' here; .*motions\.gyro = 0$",
     ),
     "physics maps that are not there": (
         LIVE.replace("[network]", "[network]\nphysics_channels = 3"),
-        r"network\.physics_channels: must be 8",
+        r"run\.toml: network\.physics_channels: must be 8",
     ),
 }
 
@@ -274,6 +280,14 @@ def test_a_configuration_that_can_be_mended(case, photos, motdiff):
     lines = [line for line in outcome[1].splitlines(keepends=True) if not line.startswith("new run")]
     assert_mendable((outcome[0], "".join(lines)), said)
     assert not Path("run/checkpoint").exists()
+
+
+@pytest.mark.parametrize("case", ["no such photos", "an empty folder", "too few photos", "no such recording"])
+def test_preparing_names_the_entry_and_its_file_too(case, photos, motdiff):
+    text, said = CONFIGS[case]
+    Path("empty").mkdir()
+    assert_mendable(motdiff("prepare", write("run.toml", text), "-o", "samples"), said)
+    assert not Path("samples").exists() or not list(Path("samples").iterdir())
 
 
 @pytest.mark.parametrize("shards", ["five", "0", "1:2:3:4", "0:9:0", "1.5:3", "", ":3", "3:3", "5:2", "0:-4"])
