@@ -42,6 +42,7 @@ _GYROSCOPE = re.compile("gyr|angular_?(vel|rate)|rotation_?rate|omega", re.IGNOR
 _OTHER_SENSOR = re.compile("accel|(^|_)acc(_|$)|magnet|(^|_)mag(_|$)|gravity|baro|gps|orientation", re.IGNORECASE)
 _SENSOR_COLUMN = re.compile("(.*_)?(sensors?|kind|stream|topic|type)(_(id|name|type))?")
 _FEWEST_NUMBERS = 3  # in a row; a line above the table has fewer
+_LONGEST_HEAD = 1000  # lines above the table
 _LEAST_US = 100.0  # step at 10 kHz
 _MOST_LABELS = 32
 _MOST_REPEATS = 0.05  # of the rows: more are two sensors in one table
@@ -148,7 +149,7 @@ def read_gyro(path: Path | str, *, time_unit: TimeUnit | None = None, rate_unit:
 
 def _header(lines: list[tuple[int, str]]) -> tuple[int, list[str], _Columns] | None:
     """Find the line that names the columns, above the first row of numbers: its number, the names, the columns."""
-    for number, line in lines:
+    for number, line in lines[:_LONGEST_HEAD]:
         cells = _fields(line)
         if line[0] != "#" and _is_row(cells):
             return None
@@ -213,7 +214,8 @@ def _ordered(rows: list[_Row], path: Path | str, time_unit: TimeUnit | None) -> 
 def _clock_step(rows: list[_Row], place: int, time_unit: TimeUnit | None) -> float | None:
     """Median step of a column that rises, but for a few repeats, at the rate of a gyroscope; None of others."""
     try:
-        steps = np.diff([_number(cells[place]) for _, cells in rows])
+        with np.errstate(invalid="ignore"):  # infinite less infinite
+            steps = np.diff([_number(cells[place]) for _, cells in rows])
     except (ValueError, IndexError):
         return None
     if not steps.size or not (steps >= 0).all() or (steps == 0).mean() > _MOST_REPEATS:

@@ -438,6 +438,8 @@ def test_one_repeated_time_leaves_one_row_out(tmp_path: Path) -> None:
     [
         ("t_s,wx,wy,wz\n0.00,1,2,3,4\n0.01,1,2,3,4\n", "line 2 has 5 columns, wanted 4"),
         ("0.00,1,2,3\n0.01,1,2,3,4\n", "line 2 has 5 columns, wanted 4"),
+        ("1,2,3,1e400\n1,2,3,1e400\n", "line 1 holds NaN or infinity"),
+        ("a word, another, more, words\n" * 2000, "missing column timestamp"),
         ("t_s,wx,wy,wz\n0,00,0,1,0,2,0,3\n0,01,0,1,0,2,0,3\n", "line 2 has 8 columns, wanted 4"),
         ("t_s,wx,acc,wy,wz\n0.00,1,9,2,3\n0.01,1,2,3\n", "line 3 has 4 columns, wanted 5"),
         ("t_s,wx,wy,wz\n0.00,1,2,3\n0.01,1,lost,3\n", "line 3 holds .* not a number in column wy: 'lost'"),
