@@ -15,6 +15,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from motdiff.io.inputs import printable
 from motdiff.io.outputs import check_file, check_folder
 
 __all__ = ["parser", "run"]
@@ -74,7 +75,7 @@ def _told(error: object, code: int) -> int:
     if isinstance(error, OSError) and error.filename and error.strerror:
         error = f"{error.filename}: {error.strerror}"
     line = (str(error) or type(error).__name__).splitlines()[0]
-    print(f"error: {line}", file=sys.stderr)  # noqa: T201
+    print(f"error: {printable(line)}", file=sys.stderr)  # noqa: T201
     return code
 
 
@@ -181,7 +182,7 @@ def _pack(given: argparse.Namespace) -> None:
     from motdiff.training.photos import pack_photos
 
     size = pack_photos(given.photos, given.out, most_px=given.side, quality=given.quality)
-    print(f"{given.out}: {size / 2**20:.1f} MiB", file=sys.stderr)  # noqa: T201
+    print(printable(f"{given.out}: {size / 2**20:.1f} MiB"), file=sys.stderr)  # noqa: T201
 
 
 def _add_export(commands: _Commands[argparse.ArgumentParser]) -> None:
@@ -208,7 +209,7 @@ def _export(given: argparse.Namespace) -> None:
     told = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
     told += "" if score is None else f", validation MNC {score:.3f}"
     text = f"{given.out}: {size / 2**20:.1f} MiB; {samples:,} samples in {hours:.1f} h, {told}"
-    print(text, file=sys.stderr)  # noqa: T201
+    print(printable(text), file=sys.stderr)  # noqa: T201
 
 
 def _add_sample(commands: _Commands[argparse.ArgumentParser]) -> None:

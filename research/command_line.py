@@ -6,6 +6,8 @@ import argparse
 import sys
 from collections.abc import Sequence
 
+from motdiff.io.inputs import printable
+
 __all__ = ["run_command"]
 
 
@@ -31,5 +33,5 @@ def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None
 
 def _failed(error: object, code: int) -> int:
     line = (str(error) or type(error).__name__).splitlines()[0]
-    print(f"error: {line}", file=sys.stderr)
+    print(f"error: {printable(line)}", file=sys.stderr)
     return code

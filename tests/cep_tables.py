@@ -6,9 +6,9 @@ COMMANDS = {
     r"\textbackslash{}": "\\", r"\textasciitilde{}": "~", r"\textasciicircum{}": "^", r"\textbar{}": "|",
     r"\textless{}": "<", r"\textgreater{}": ">", "''": '"', r"$\pm$": "±", r"$\times$": "×",
     r"$^2$": "²", r"\textmu{}": "µ", r"$\le$": "≤", r"$\ge$": "≥", r"$\to$": "→", r"\ldots{}": "…", "--": "–",
-    r"\&": "&", r"\%": "%", r"\$": "$", r"\#": "#", r"\_": "_", r"\{": "{", r"\}": "}",
+    r"\&": "&", r"\%": "%", r"\$": "$", r"\#": "#", r"\_": "_", r"\{": "{", r"\}": "}", "{[}": "[", "{*}": "*",
 }  # fmt: skip
-TOKEN = re.compile("|".join(re.escape(one) for one in COMMANDS) + r"|[^\\${}&%#_^~|<>\"]", re.DOTALL)
+TOKEN = re.compile("|".join(re.escape(one) for one in COMMANDS) + r"|[^\\${}&%#_^~|<>\"\[*]", re.DOTALL)
 
 
 def read_latex(text):

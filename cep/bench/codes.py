@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from cep.bench.table_io import machines_markdown, made_json
+from cep.io.foreign_text import in_code_span, markdown_text
 from cep.io.outputs import new_folder
-from cep.io.tables import Sheet, latex, markdown_table
+from cep.io.tables import Sheet, csv_lines, latex, markdown_table
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.fingerprint import source_version
 from cep.optics.code import ShutterCode
@@ -238,26 +237,24 @@ def write_codes_report(
     -------
     dict from a file's name to its path
     """
-    from rich.markup import escape
-
     head = [
         "# Published codes",
         "",
-        f"Made by `{command}`, seed {seed}, on",
+        f"Made by {in_code_span(command)}, seed {seed}, on",
         "",
         machines_markdown(machines) or "- no machine",
         "",
         "Straight uniform motion: the smallest |P| over the unit circle, in chips, and the noise of deconvolution "
         f"relative to DC. Ours is searched for {time_s:g} s at the same number of chips, as many of them open, one "
         "code for both.",
-        *(f"\n- {warning}" for warning in warnings),
+        *(f"\n- {markdown_text(warning)}" for warning in warnings),
         "",
     ]
     count = f"\nBetter on both: {sum(row.better for row in rows)} of {len(rows)}.\n"
-    lines = [(escape(name), *rest) for name, *rest in code_lines(rows)]
+    lines = code_lines(rows)
     with new_folder(folder, CODE_FILES, force=force) as made:
         texts = {
-            "codes.md": "\n".join(head) + f"\n{markdown_table(CODE_HEAD, code_lines(rows))}\n{count}",
+            "codes.md": "\n".join(head) + f"\n{markdown_table(CODE_HEAD, lines)}\n{count}",
             "codes.tex": latex([Sheet("Published codes", CODE_HEAD, lines)]),
             "codes.csv": _csv(rows),
             "codes.json": made_json(
@@ -270,13 +267,11 @@ def write_codes_report(
 
 
 def _csv(rows: Sequence[CodeRow]) -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     names = ("min_chip", "noise_db", "our_min_chip", "our_noise_db")
-    writer.writerow(("name", "chips", "open", *names, "better", "seconds", "bits", "our_bits"))
+    lines: list[tuple[object, ...]] = [("name", "chips", "open", *names, "better", "seconds", "bits", "our_bits")]
     for row in rows:
         figures = (row.minima[0], row.noise_db[0], row.minima[1], row.noise_db[1])
-        writer.writerow(
+        lines.append(
             (
                 row.name,
                 row.published.chips,
@@ -288,4 +283,4 @@ def _csv(rows: Sequence[CodeRow]) -> str:
                 row.ours.bits,
             )
         )
-    return stream.getvalue()
+    return csv_lines(lines)

@@ -8,6 +8,7 @@ from typing import Any
 
 from cep.bench.job import Part
 from cep.bench.table_io import machines_markdown
+from cep.io.foreign_text import in_code_span, markdown_text
 from cep.io.outputs import write_text
 
 __all__ = ["INDEX", "write_index"]
@@ -44,7 +45,7 @@ def write_index(folder: Path, parts: Sequence[Part], *, command: str, unmade: Se
     head = [
         "# The paper's tables",
         "",
-        f"Made by `{command}` on",
+        f"Made by {in_code_span(command)} on",
         "",
         machines_markdown(machines) or "- no machine",
         "",
@@ -61,8 +62,8 @@ def _section(folder: Path, part: Part) -> str:
     notes = [*part.warnings, *(f"failed: {label}: {reason}" for label, reason in part.failures.items())]
     blocks = [
         f"## {part.title}",
-        f"`{part.command}`",
-        *(["\n".join(f"- {note}" for note in notes)] if notes else []),
+        in_code_span(part.command),
+        *(["\n".join(f"- {markdown_text(note)}" for note in notes)] if notes else []),
         part.summary.rstrip("\n"),
         *([f"![{part.title}]({places['.png']})"] if ".png" in places else []),
         f"All of it: {others}.",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -12,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cep.bench.tables import Table
 from cep.io.files import json_text
-from cep.io.tables import Sheet, latex, markdown
+from cep.io.tables import Sheet, csv_lines, latex, markdown
 from cep.jobs.cache import ENGINE
 from cep.plots.canvas import undated
 
@@ -53,12 +51,7 @@ def tables_latex(tables: Sequence[Table]) -> str:
 
 
 def _sheets(tables: Sequence[Table]) -> list[Sheet]:
-    from rich.markup import escape
-
-    return [
-        Sheet(table.title, table.head, [(escape(name), *rest) for name, *rest in table.lines(("[bold]", "[/bold]"))])
-        for table in tables
-    ]
+    return [Sheet(table.title, table.head, table.lines()) for table in tables]
 
 
 def means_in_words(tables: Sequence[Table]) -> str:
@@ -89,10 +82,8 @@ def machines_markdown(machines: Sequence[Mapping[str, Any]]) -> str:
 
 def tables_csv(tables: Sequence[Table]) -> str:
     """Lay out tables as CSV, a line per row and figure; empty where not measured."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     heads = ("table", "row", "figure", "cells", "n", "mean", "low", "high", "median", "sd", "q05", "q95", "bold")
-    writer.writerow(heads)
+    rows: list[tuple[object, ...]] = [heads]
     for table in tables:
         for label, entries in table.rows.items():
             for entry, column in zip(entries, table.columns, strict=True):
@@ -107,8 +98,8 @@ def tables_csv(tables: Sequence[Table]) -> str:
                 )
                 texts = ("" if number is None or math.isnan(number) else f"{number:.6g}" for number in numbers)
                 start = (table.title, label, column.figure, table.cells[label], one.n)
-                writer.writerow((*start, *texts, "yes" if entry.bold else "no"))
-    return stream.getvalue()
+                rows.append((*start, *texts, "yes" if entry.bold else "no"))
+    return csv_lines(rows)
 
 
 def tables_json(

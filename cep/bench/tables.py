@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from cep.bench.statistics import Interval, Summary, crossed_interval, mean_interval, summarized
+from cep.io.tables import Bold
 from cep.jobs.cells import Figure
 
 __all__ = ["Column", "Entry", "Table", "TextTable", "differences", "tabulate"]
@@ -107,19 +108,13 @@ class Table:
         """Return how many cells a row has, and of :attr:`counts`."""
         return (self.cells[label], *(numbers[label] for numbers in self.counts.values()))
 
-    def lines(self, mark: tuple[str, str] = ("", "")) -> list[tuple[str, ...]]:
-        """Lay out the rows: mean and its interval, and how many cells have the figure where some do not.
-
-        Parameters
-        ----------
-        mark : (str, str)
-            Marks before and after a bold figure: ``("[bold]", "[/bold]")`` for :func:`cep.cli.console.table`.
-        """
+    def lines(self) -> list[tuple[str | Bold, ...]]:
+        """Lay out the rows: mean and its interval, and how many cells have the figure where some do not."""
         return [
             (
                 label,
                 *(
-                    _in_words(entry, column, self.cells[label], mark)
+                    _in_words(entry, column, self.cells[label])
                     for entry, column in zip(entries, self.columns, strict=True)
                 ),
                 *map(str, self.sizes(label)),
@@ -291,12 +286,13 @@ def _interval(
     return mean_interval(numbers, rng=rng, clusters=labels[0], level=level)
 
 
-def _in_words(entry: Entry, column: Column, cells: int, mark: tuple[str, str]) -> str:
+def _in_words(entry: Entry, column: Column, cells: int) -> str | Bold:
     if entry.summary.n == 0:
         return "–"
     digits = column.digits
-    text = f"{column.shown(entry):.{digits}f}"
-    text = f"{mark[0]}{text}{mark[1]}" if entry.bold else text
+    text, rest = f"{column.shown(entry):.{digits}f}", ""
     if (interval := entry.finite_interval) is not None:
-        text += f" ({interval.low:.{digits}f}..{interval.high:.{digits}f})"
-    return text if entry.summary.n == cells else f"{text}, {entry.summary.n} of {cells}"
+        rest = f" ({interval.low:.{digits}f}..{interval.high:.{digits}f})"
+    if entry.summary.n != cells:
+        rest += f", {entry.summary.n} of {cells}"
+    return Bold(text, rest) if entry.bold else text + rest

@@ -285,12 +285,10 @@ def mtf(
         found.save(output)
 
     def show(console: Console) -> None:
-        from rich.markup import escape
-
         heads = (figure_head(*item) for item in found.rows[OPEN].figures.items())
         rows = [
             (
-                escape(name),
+                name,
                 *(row.metrics.in_words(figure) for figure in ("min_mtf", "noise_gain_db", "mse_db")),
                 *map(figure_in_words, row.figures.values()),
             )

@@ -12,8 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from cep.io.foreign_text import printable, terminal_line
+
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
+    from rich.text import Text
 
     from cep.io.tables import Sheet
 
@@ -25,6 +28,7 @@ __all__ = [
     "complain",
     "explain",
     "finish",
+    "page",
     "part",
     "photo_named",
     "progress",
@@ -65,17 +69,29 @@ def finish(
     if as_json:
         from cep.io.files import json_text
 
-        sys.stdout.write(json_text(result))
+        encoding = sys.stdout.encoding or "utf-8"
+        sys.stdout.write(json_text(result, ascii_only=not encoding.lower().replace("_", "-").startswith("utf-8")))
         return
-    from rich.console import Console
-
-    console = Console(highlight=False, soft_wrap=True, markup=False)  # names may have brackets
+    console = page()
     show(console)
     if tables is not None:
         console.print(f"{tables}: the tables")
     warnings = result.get("warnings", ())
     for warning in warnings if isinstance(warnings, Sequence) else ():
         warn(str(warning))
+
+
+def page() -> Console:
+    """Make the console of a page for people: texts are no markup, and a terminal's commands in them can be seen."""
+    from rich.console import Console
+    from rich.text import Text
+
+    class Page(Console):
+        def print(self, *objects: Any, **options: Any) -> None:
+            lines = (Text(printable(item)) if isinstance(item, str) else item for item in objects)
+            super().print(*lines, **options)
+
+    return Page(highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
 def _sheets(show: Callable[[Console], None]) -> list[Sheet]:
@@ -153,16 +169,18 @@ def progress(task: str) -> Iterator[Tick]:
 
     console = Console(stderr=True)
     elapsed = (TextColumn("elapsed"), TimeElapsedColumn()) if console.width >= _ROOMY else ()
+    note_column = Column(no_wrap=True, overflow="ellipsis", ratio=1)
     columns = (
-        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(min(max(console.width - _ROOMY, 10), 40)),
-        TextColumn("{task.percentage:>3.0f} %"), *elapsed, TextColumn("left"), TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
+        SpinnerColumn(), TextColumn("{task.description}", markup=False),
+        BarColumn(min(max(console.width - _ROOMY, 10), 40)), TextColumn("{task.percentage:>3.0f} %"), *elapsed,
+        TextColumn("left"), TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}", markup=False, table_column=note_column),
     )  # fmt: skip
     with Progress(*columns, console=console, transient=True, expand=True) as bar:
-        row = bar.add_task(task, total=None, note="")
+        row = bar.add_task(terminal_line(task), total=None, note="")
 
         def tick(fraction: float, note: str = "", /) -> None:
-            bar.update(row, total=1.0, completed=min(max(fraction, 0.0), 1.0), note=note)
+            bar.update(row, total=1.0, completed=min(max(fraction, 0.0), 1.0), note=terminal_line(note))
 
         yield tick
 
@@ -186,7 +204,7 @@ class Table:
     columns : sequence of str
         Heads; the first column has the rows' names, which are always there and whole.
     rows : sequence of sequences
-        Rich markup, numbers, and None for a dash.
+        As of :class:`cep.io.tables.Sheet`; None is shown as a dash.
     kept : int
         Columns at the end that are left out last.
     """
@@ -202,24 +220,23 @@ class Table:
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        from cep.io.tables import cell_text
-
-        texts = [[cell_text(value) for value in row] for row in self.rows]
+        texts = [[_shown_text(value) for value in row] for row in self.rows]
         shown, widths = self._fitted(texts, options.max_width)
         made = RichTable(
-            title=Text(self.title), title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False
+            title=Text(printable(self.title)), title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False
         )
         for index, width in zip(shown, widths, strict=True):
             justify: Any = "left" if index == 0 or _longest(texts, index) > _WIDE else "right"
-            made.add_column(self.columns[index], justify=justify, width=width, overflow="fold")
+            made.add_column(Text(printable(self.columns[index])), justify=justify, width=width, overflow="fold")
         for row in texts:
-            made.add_row(*(Text.from_markup(row[index]) for index in shown))
+            made.add_row(*(row[index] for index in shown))
         yield made
-        left_out = [self.columns[index] for index in range(len(self.columns)) if index not in shown]
+        left_out = [printable(self.columns[index]) for index in range(len(self.columns)) if index not in shown]
         if left_out:
-            yield f"left out, as {options.max_width} columns are too narrow: {'; '.join(left_out)} (all are in --json)"
+            told = f"left out, as {options.max_width} columns are too narrow: {'; '.join(left_out)} (all are in --json)"
+            yield Text(told)
 
-    def _fitted(self, texts: Sequence[Sequence[str]], available: int) -> tuple[list[int], list[int]]:
+    def _fitted(self, texts: Sequence[Sequence[Text]], available: int) -> tuple[list[int], list[int]]:
         """Choose the columns shown and their widths."""
         cells = [_longest(texts, index) for index in range(len(self.columns))]
         natural = [max(cell, len(head)) for cell, head in zip(cells, self.columns, strict=True)]
@@ -256,11 +273,18 @@ def photo_named(line: str, images: Sequence[Path]) -> str:
     return line if found is None else f"{images[int(found[1] or 1) - 1]}: {line[found.end() :]}"
 
 
-def _longest(texts: Sequence[Sequence[str]], index: int) -> int:
-    """Width of a column's widest cell."""
+def _shown_text(value: object) -> Text:
+    """Write a cell as Rich's text."""
     from rich.text import Text
 
-    return max((Text.from_markup(row[index]).cell_len for row in texts), default=0)
+    from cep.io.tables import cell_parts
+
+    return Text.assemble(*((printable(text), "bold" if bold else "") for text, bold in cell_parts(value)))
+
+
+def _longest(texts: Sequence[Sequence[Text]], index: int) -> int:
+    """Width of a column's widest cell."""
+    return max((row[index].cell_len for row in texts), default=0)
 
 
 def _rules(columns: int) -> int:
@@ -273,7 +297,7 @@ def _ignore(_fraction: float, _note: str = "", /) -> None:
 
 
 def _line(text: str) -> None:
-    print(" ".join(text.split()), file=sys.stderr)  # noqa: T201 - the one place that writes to people's stderr
+    print(terminal_line(text), file=sys.stderr)  # noqa: T201 - the one place that writes to people's stderr
 
 
 def _command_path(error: BaseException) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cep.cli.console import finish, progress, table
+from cep.cli.console import finish, page, progress, table
 from cep.cli.emulate import emulate
 from cep.cli.options import ChipNs, CodeSource, Json, Seed
 from cep.cli.programs import ClockPpm, Device, LeaseMs, Port, load_program, open_port, program_figures
@@ -205,11 +205,9 @@ def monitor(
 
     Example: cep hw monitor --port /dev/ttyACM0 --seconds 30
     """
-    from rich.console import Console
-
     if seconds is not None and not seconds > 0:
         raise ValueError(f"--seconds: must be above 0, got {seconds:g}")
-    page = Console(highlight=False, soft_wrap=True, markup=False)
+    console = page()
     changes: list[dict[str, object]] = []
     last: tuple[object, ...] | None = None
     looks = 0
@@ -223,7 +221,7 @@ def monitor(
                 change = {"after_s": time.monotonic() - start, **_status_figures(status)}
                 changes.append(change)
                 if not as_json:
-                    page.print(
+                    console.print(
                         f"{change['after_s']:9.3f} s  {_name(status):7s} plays {status.runs}  "
                         f"missed edges {status.late}  bad frames {status.bad_frames}  CRC32 0x{status.stored_crc32:08x}"
                     )

@@ -13,6 +13,7 @@ import typer
 
 from cep.cli.console import finish
 from cep.cli.options import Force, Json
+from cep.io.foreign_text import terminal_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -67,7 +68,7 @@ def emulate(
     port = uno.port
     try:
         with _linked(link, port):
-            print(f"{board} is at {link or port}; Ctrl-C ends it", file=sys.stderr, flush=True)  # noqa: T201
+            print(terminal_line(f"{board} is at {link or port}; Ctrl-C ends it"), file=sys.stderr, flush=True)  # noqa: T201
             _run(uno, seconds)
     finally:
         uno.stop()

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from cep.bench.job import Job, Part
     from cep.bench.tables import Column, Entry, Table, TextTable
+    from cep.io.tables import Bold
     from cep.workflows.folders import FolderResults
 
 __all__ = [
@@ -82,10 +83,8 @@ def finish_folder(
         told.append(f"stopped early: {missing} {noun} are left out; the same command with --force goes on")
 
     def show(console: Console) -> None:
-        from rich.markup import escape
-
         shown = [key for key in figures if any(row.get(key) is not None for row in rows)]
-        lines = [(escape(str(row[name])), *(row.get(key) for key in shown), _state(row)) for row in rows]
+        lines = [(str(row[name]), *(row.get(key) for key in shown), _state(row)) for row in rows]
         console.print(table(title, (columns[name], *(columns[key] for key in shown), "warnings"), lines, kept=1))
         console.print(str(result["summary"]))
 
@@ -199,24 +198,21 @@ def _finish_table(about: Mapping[str, object], part: Part, *, as_json: bool) -> 
 
 def show_tables(console: Console, tables: Sequence[Table | TextTable]) -> None:
     """Print tables for people: means, or medians, whose intervals are in the files."""
-    from rich.markup import escape
-
     from cep.bench.tables import TextTable
 
     for one in tables:
         if isinstance(one, TextTable):
-            console.print(table(one.title, one.head, [(escape(name), *rest) for name, *rest in one.lines]))
+            console.print(table(one.title, one.head, one.lines))
             console.print(one.note)
             continue
-        lines = [
-            (escape(label), *map(_shown, one.columns, entries), *one.sizes(label))
-            for label, entries in one.rows.items()
-        ]
+        lines = [(label, *map(_shown, one.columns, entries), *one.sizes(label)) for label, entries in one.rows.items()]
         console.print(table(one.title, one.head, lines, kept=1))
 
 
-def _shown(column: Column, entry: Entry) -> str | None:
+def _shown(column: Column, entry: Entry) -> str | Bold | None:
+    from cep.io.tables import Bold
+
     if entry.summary.n == 0:
         return None
     text = f"{column.shown(entry):.{column.digits}f}"
-    return f"[bold]{text}[/bold]" if entry.bold else text
+    return Bold(text) if entry.bold else text

@@ -186,9 +186,19 @@ def plain(value: object) -> Any:
     return str(value)
 
 
-def json_text(value: object) -> str:
-    """Format ``value`` as strict JSON with a closing newline."""
-    return json.dumps(plain(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+def json_text(value: object, *, ascii_only: bool = False) -> str:
+    r"""Format ``value`` as strict JSON with a closing newline.
+
+    Bytes of a file's name that are no UTF-8 are lone surrogates in Python; JSON has them as escapes, ``\udcff``.
+
+    Parameters
+    ----------
+    value : object
+    ascii_only : bool
+        Whether all other characters are escapes too, for an output that is not UTF-8.
+    """
+    text = json.dumps(plain(value), indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n"
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 # -- PSFs -----------------------------------------------------------------------------------------------------------

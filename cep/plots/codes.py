@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.io.foreign_text import plot_text
 from cep.io.formatting import duration
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import mtf
@@ -45,7 +46,7 @@ def code_strips(codes: Mapping[str, ShutterCode]) -> Figure:
             axes.grid(which="minor", axis="x", color="0.5", linewidth=0.4)
             axes.tick_params(which="minor", length=0)
         axes.set(yticks=[], xlim=(0, code.chips))
-        axes.set_ylabel(name, rotation=0, ha="right", va="center")
+        axes.set_ylabel(plot_text(name), rotation=0, ha="right", va="center")
         axes.text(
             1.01, 0.5, f"{code.open_chips} of {code.chips} open\n{code.duty:.0%} of the light",
             transform=axes.transAxes, va="center", fontsize=least_pt(_STRIP_IN), color="0.3",
@@ -102,7 +103,7 @@ def mtf_figure(trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], 
     for index, (name, code) in enumerate(codes.items()):
         freq_cy_px, curve = mtf_curve(trajectory, code)
         style = {"color": COLOURS[index % len(COLOURS)], "linestyle": LINES[index % len(LINES)]}
-        curves.semilogy(freq_cy_px, np.maximum(curve, 1e-6), linewidth=1.9, label=name, **style)
+        curves.semilogy(freq_cy_px, np.maximum(curve, 1e-6), linewidth=1.9, label=plot_text(name), **style)
     angle_deg = float(np.degrees(np.arctan2(axis[1], axis[0]))) % 180
     curves.set(
         xlim=(0, 0.5), ylim=(1e-3, 1.2),
@@ -121,7 +122,7 @@ def mtf_figure(trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], 
         drawn = axes.imshow(
             level_db, cmap="cividis", vmin=_FLOOR_DB, vmax=0, extent=(-0.5, 0.5, 0.5, -0.5), interpolation="nearest"
         )
-        axes.set(title=name, xlabel="x, cycles/px", xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5))
+        axes.set(title=plot_text(name), xlabel="x, cycles/px", xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5))
         axes.tick_params(labelleft=index % columns == 0)
         if index % columns == 0:
             axes.set_ylabel("y, cycles/px")

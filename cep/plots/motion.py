@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cep.io.foreign_text import plot_text
 from cep.plots.canvas import COLOURS, new_figure, show_photo, thumbnail
 from motdiff.trajectory import Trajectory
 
@@ -34,7 +35,7 @@ def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = 
     figure = new_figure(10.0, 4.6)
     left, right = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
     show_photo(left, shown)
-    left.set_title(title or "Photo and its motion (same scale)")
+    left.set_title(plot_text(title) or "Photo and its motion (same scale)")
     scale = shown.shape[1] / np.asarray(photo).shape[1]
     centre = 0.5 * np.array([shown.shape[1] - 1, shown.shape[0] - 1])
     on_photo = trajectory.xy * scale + centre
@@ -88,7 +89,9 @@ def psf_figure(psfs: Mapping[str, ArrayLike]) -> Figure:
         edges = (-half - 0.5, kernel.shape[1] - half - 0.5, kernel.shape[0] - half - 0.5, -half - 0.5)
         drawn = axes.imshow(kernel, cmap="magma", extent=edges, interpolation="nearest")
         axes.plot(0, 0, "+", color="white", markersize=7, markeredgewidth=0.8)
-        axes.set(title=title, xlabel="x, px", ylabel="y (down), px", xlim=(-reach, reach), ylim=(reach, -reach))
+        axes.set(
+            title=plot_text(title), xlabel="x, px", ylabel="y (down), px", xlim=(-reach, reach), ylim=(reach, -reach)
+        )
         axes.set_facecolor("black")
         figure.colorbar(drawn, ax=axes, shrink=0.95, label="share of the light")
     return figure

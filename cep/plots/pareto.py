@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.io.foreign_text import plot_text
 from cep.optics.mtf import HOPELESS_DB
 from cep.plots.canvas import COLOURS, least_pt, new_figure
 from cep.search.fronts.front import Front, FrontPoint, knees
@@ -92,7 +93,7 @@ def pareto_figure(front: Front, published: Mapping[str, FrontPoint] | None = Non
     figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=least_pt(_WIDTH_IN))
     hidden = [f"{name} ({_db(p)})" for name, p in others.items() if name not in shown]
     hidden += [f"{len(front.points) - len(drawn)} codes of the front"] if len(drawn) < len(front.points) else []
-    axes.set_title(title or _title(front), pad=18 if hidden else None)
+    axes.set_title(plot_text(title) or _title(front), pad=18 if hidden else None)
     if hidden:
         text = f"noisier than shown: {', '.join(hidden)}"
         axes.text(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cep.io.foreign_text import plot_text
 from cep.plots.canvas import COLOURS, new_figure, show_photo, thumbnail
 from motdiff.crops import luminance
 
@@ -41,7 +42,7 @@ def before_after(images: Mapping[str, ArrayLike], *, zoom_px: int = 128, detail_
     for (title, image), top, bottom in zip(pictures.items(), grid[0], grid[1], strict=True):
         cut = _centred(image, height, width)
         show_photo(top, thumbnail(cut, 1200))
-        top.set_title(title)
+        top.set_title(plot_text(title))
         scale = thumbnail(cut, 1200).shape[1] / width
         corner = (column * scale, row * scale)
         top.add_patch(_frame(corner, side * scale))

@@ -15,6 +15,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cep.io.foreign_text import printable
 from cep.io.formatting import number
 from cep.io.outputs import write_text
 
@@ -161,7 +162,10 @@ def html(report: Report) -> str:
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup  # the script is the package's own
 
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        finalize=lambda value: printable(value) if type(value) is str else value,
+    )  # fmt: skip
     environment.filters["cell"] = _cell
     source, script = (_template(name) for name in ("report.html.j2", "compare.js"))
     if not any(section.compared for section in report.sections):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from cep.io.outputs import write_text
+from cep.io.tables import csv_lines
 from cep.jobs.cells import Cell, Figure, Result
 from cep.jobs.engine import Engine
 
@@ -145,18 +144,15 @@ def is_spelled(name: str) -> bool:
 def _in_words(figures: Mapping[str, Any]) -> dict[str, float | str | None]:
     """Lay out figures of the user's own, as JSON has them, for a line of the table: forward / backward."""
     return {
-        name: " / ".join("-" if one is None else f"{one:.6g}" for one in value) if isinstance(value, list) else value
+        name: " / ".join("–" if one is None else f"{one:.6g}" for one in value) if isinstance(value, list) else value
         for name, value in figures.items()
     }
 
 
 def _csv(columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
     """Lay out the table, a line per row; what a row lacks is empty."""
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, columns, restval="", extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows)
-    return stream.getvalue()
+    lines = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
+    return csv_lines([columns, *([line.get(name) for name in columns] for line in lines)])
 
 
 def _discard(folder: Path, names: Sequence[str]) -> None:

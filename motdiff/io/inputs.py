@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-__all__ = ["one_line", "read_json", "read_text", "read_toml", "regular_file"]
+__all__ = ["one_line", "printable", "read_json", "read_text", "read_toml", "regular_file"]
 
 _LONGEST = 300
 _KINDS = (
@@ -123,5 +123,16 @@ def one_line(text: object) -> str:
     'line one line two \\x1b[2J'
     """
     words = " ".join(str(text)[: 4 * _LONGEST].split())
-    line = "".join(mark if mark.isprintable() else repr(mark)[1:-1] for mark in words)
+    line = printable(words)
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 3]}..."
+
+
+def printable(text: str) -> str:
+    r"""Write what cannot be seen as its escape: control characters, marks that change the direction, lone surrogates.
+
+    Examples
+    --------
+    >>> printable("a\nb \x1b[2J \u202e"), printable("µm, 5 × 5")
+    ('a\\nb \\x1b[2J \\u202e', 'µm, 5 × 5')
+    """
+    return "".join(mark if mark.isprintable() else repr(mark)[1:-1] for mark in text)

@@ -71,9 +71,9 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write ``text`` as UTF-8 through :func:`new_file`."""
+    """Write ``text`` as UTF-8 through :func:`new_file`; bytes of names that are no UTF-8 are written as escapes."""
     with new_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="")
 
 
 def check_file(path: Path | str) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cep.bench.blind.cases import RealPhoto, make_case, real_pair
 from cep.bench.blind.work import measure_levin, measure_simulated
 from cep.bench.psf_text import psf_from_text
+from cep.io.foreign_text import plot_text
 from cep.jobs.cells import Cell, Result
 from cep.plots.canvas import PRINTED_IN, in_lines, least_pt, new_figure, show_inset, show_photo
 from motdiff.crops import luminance
@@ -109,7 +110,7 @@ def blind_figure(lines: Sequence[Shown], methods: Sequence[str]) -> Figure:
     size_pt = least_pt(width_in)
     grid = figure.subplots(len(lines), len(columns), squeeze=False)
     for axes, name in zip(grid[0], columns, strict=True):
-        axes.set_title(in_lines(name, tile_in, size_pt), fontsize=size_pt)
+        axes.set_title(in_lines(plot_text(name), tile_in, size_pt), fontsize=size_pt)
     for row, line in zip(grid, lines, strict=True):
         for axes in row:
             axes.set_axis_off()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,9 @@ from cep.bench.blind.run import Plan
 from cep.bench.blind.work import CEILINGS
 from cep.bench.table_io import means_in_words, report_files, tables_markdown, write_figure, write_report_files
 from cep.bench.tables import Column, Table, differences, tabulate
+from cep.io.foreign_text import in_code_span, markdown_text
 from cep.io.outputs import new_folder
+from cep.io.tables import csv_lines
 from cep.jobs.cells import Figure
 from cep.jobs.engine import Outcome
 from motdiff.evaluation.measure import RESTORATION
@@ -80,7 +80,10 @@ def write_report(
     with new_folder(folder, outputs(name), force=force) as made:
         text = _introduction(name, plan, outcome, tables, command, warnings) + tables_markdown(tables)
         absent = {**(unmeasured or {}), **_failed(outcome)}
-        text += "".join(f"\n{method} is not measured: {reason}.\n" for method, reason in absent.items())
+        text += "".join(
+            f"\n{markdown_text(method)} is not measured: {markdown_text(reason)}.\n"
+            for method, reason in absent.items()
+        )
         if lines:
             write_figure(blind_figure(lines, pictured), made, name)
             text += f"\n![photos, kernels and what each method restores]({name}.png)\n"
@@ -99,12 +102,12 @@ def _introduction(
     head = [
         f"# The {name} table",
         "",
-        f"Made by `{command}`, protocol `{plan.protocol.name}`, seed {plan.protocol.seed}, on",
+        f"Made by {in_code_span(command)}, protocol {in_code_span(plan.protocol.name)}, seed {plan.protocol.seed}, on",
         f"{machines or 'no machine'}.",
         f"{_counts(plan)}.",
         means_in_words(tables),
         *(_RESTORED if restored else ()),
-        *(f"\n- {warning}" for warning in warnings),
+        *(f"\n- {markdown_text(warning)}" for warning in warnings),
         "",
         "",
     ]
@@ -197,15 +200,13 @@ def speed_tables(figures: Figures, *, title: str, seed: int) -> list[Table]:
 
 def cells_csv(figures: Figures, failures: Mapping[tuple[str, ...], str]) -> str:
     """Write every cell as a line of CSV; empty where not measured."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     names = [column.figure for column in (*_QUALITY, *_COST, *_DRAWS)] + list(_OWN)
-    writer.writerow(("method", "photo", "motion", "light", *names, "failure"))
+    rows = [("method", "photo", "motion", "light", *names, "failure")]
     for name, own in figures.items():
         values = (own.get(key) for key in names)
         texts = ("" if value is None else f"{value:.6g}" for value in values if not isinstance(value, str))
-        writer.writerow((*name, *texts, failures.get(name, "")))
-    return stream.getvalue()
+        rows.append((*name, *texts, failures.get(name, "")))
+    return csv_lines(rows)
 
 
 def _table(title: str, figures: Figures, columns: Sequence[Column], seed: int) -> Table:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cep.bench.coded.designs import design_of
 from cep.bench.coded.protocol import paths_from
 from cep.bench.coded.stages import pictures_of
+from cep.io.foreign_text import plot_text
 from cep.optics.code import ShutterCode
 from cep.plots.canvas import PRINTED_IN, in_lines, least_pt, new_figure, show_inset, show_photo
 from cep.plots.codes import mtf_curve
@@ -58,7 +59,9 @@ def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str,
         light_true = taken.photo / max(code.duty, 1e-3) if arguments["light_true"] else taken.photo
         _show(axes[0, column], light_true, linear=linear)
         _show(axes[1, column], taken.restored, linear=linear)
-        axes[0, column].set_title(in_lines(design_of(name).label, tile_in, size_pt), fontsize=size_pt, pad=14)
+        axes[0, column].set_title(
+            in_lines(plot_text(design_of(name).label), tile_in, size_pt), fontsize=size_pt, pad=14
+        )
         strip = axes[0, column].inset_axes([0, 1.02, 1, 0.05])
         strip.imshow(code.array[None, :], cmap="gray", aspect="auto", vmin=0, vmax=1, interpolation="nearest")
         strip.set_xticks([])

@@ -14,6 +14,7 @@ from cep.bench.coded.run import ESTIMATORS, CodedTable
 from cep.bench.coded.tables import harmed, shots_csv
 from cep.bench.table_io import means_in_words, report_files, tables_markdown, write_figure, write_report_files
 from cep.bench.tables import Table
+from cep.io.foreign_text import in_code_span, markdown_text
 from cep.io.outputs import new_folder
 from cep.jobs.cells import Figure as Measured
 
@@ -121,7 +122,10 @@ def _found(measured: CodedTable) -> list[str]:
             )
     for name in dict.fromkeys(shot.design for shot in measured.shots):
         if mncs := [float(mnc) for shot in measured.shots if shot.design == name and (mnc := shot.figures.get(_MNC))]:
-            lines.append(f"\nKernels found in the photos themselves, {name}: {len(mncs)} of mean MNC {mean(mncs):.3f}.")
+            lines.append(
+                f"\nKernels found in the photos themselves, {markdown_text(name)}: {len(mncs)} of mean MNC "
+                f"{mean(mncs):.3f}."
+            )
     left_out = [name for name, design in DESIGNS.items() if design.only_named]
     if not {shot.design for shot in measured.shots} & set(left_out):
         lines.append(f"\nMeasured only where `--designs` names them: {', '.join(left_out)}.")
@@ -137,7 +141,8 @@ def _introduction(measured: CodedTable, tables: Sequence[Table], command: str, w
     head = [
         "# The coded-exposure table",
         "",
-        f"Made by `{command}`, protocol `{protocol.name}`, seed {protocol.seed}, on {machines or 'no machine'}.",
+        f"Made by {in_code_span(command)}, protocol {in_code_span(protocol.name)}, seed {protocol.seed}, on "
+        f"{machines or 'no machine'}.",
         f"{photos} photos, {protocol.motions} motions each{_light(protocol)}. {protocol.chips} chips (DCE: 32); "
         f"searches keep {protocol.open_range[0]} to {protocol.open_range[1]} of them open and have "
         f"{protocol.steps:,} moves each for `{protocol.objective}` (DNF: always `noise`, of a straight blur); "
@@ -149,10 +154,11 @@ def _introduction(measured: CodedTable, tables: Sequence[Table], command: str, w
         "strobes, which shut out the most, are shown apart.",
         f"{means_in_words(tables)} PSNR and SSIM up to shift, 32 px of border left out. A noise gain is infinite where "
         "the MTF has a zero on a line, as an open shutter's has on straight motion.",
-        *(f"\n- {warning}" for warning in warnings),
+        *(f"\n- {markdown_text(warning)}" for warning in warnings),
         *_found(measured),
         *(
-            f"\n{name}: noise gain in the worse direction above the open shutter's in {bad} of {count} photos."
+            f"\n{markdown_text(name)}: noise gain in the worse direction above the open shutter's in {bad} of {count} "
+            "photos."
             for name, (bad, count) in counts.items()
             if count
         ),

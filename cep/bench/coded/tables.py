@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 
@@ -12,6 +10,7 @@ import numpy as np
 from cep.bench.coded.designs import design_of
 from cep.bench.coded.run import CodedTable, Shot
 from cep.bench.tables import Column, Table, differences, tabulate
+from cep.io.tables import csv_lines
 from cep.jobs.cells import Figure
 
 __all__ = ["beyond_comparison", "coded_tables", "harmed", "shots_csv"]
@@ -84,13 +83,11 @@ def harmed(measured: CodedTable, design: str) -> tuple[int, int]:
 
 def shots_csv(measured: CodedTable) -> str:
     """Lay out every photo as CSV."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     names = ("psnr_db", "ssim", "noise_gain_db", "reversed_noise_gain_db", "min_mtf", "kernel_mnc")
-    writer.writerow(("design", "photo", "motion", "photons", *names, "bits"))
+    rows: list[tuple[object, ...]] = [("design", "photo", "motion", "photons", *names, "bits")]
     for shot in measured.shots:
         numbers = (shot.figures.get(name) for name in names)
-        writer.writerow(
+        rows.append(
             (
                 shot.design,
                 shot.photo,
@@ -100,7 +97,7 @@ def shots_csv(measured: CodedTable) -> str:
                 shot.bits,
             )
         )
-    return stream.getvalue()
+    return csv_lines(rows)
 
 
 def _figures(shots: Sequence[Shot]) -> dict[Name, Mapping[str, Figure]]:

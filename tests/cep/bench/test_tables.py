@@ -196,7 +196,7 @@ def test_json_says_how_it_was_made():
 def test_people_see_it_on_a_console():
     table = made(measured(plain=gain(0), ours=gain(1, seed=2)))
     console = Console(file=io.StringIO(), width=100, force_terminal=True, color_system="standard")
-    console.print(rich_table(table.title, table.head, table.lines(("[bold]", "[/bold]"))))
+    console.print(rich_table(table.title, table.head, table.lines()))
     shown = console.file.getvalue()
     mean = f"{table.rows['ours'][0].summary.mean:.2f}"
     assert f"\x1b[1m{mean}\x1b[0m (" in shown
