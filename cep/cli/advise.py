@@ -130,13 +130,12 @@ def advise(
         gains: Mapping[int, float] = {}
         problem = None if count is None else problem_of(count)
         figures = [] if output is None else [output]
-        claim([*figures, *table_files(tables)], force=force, inputs=[] if trajectory is None else [trajectory])
+        read = [] if trajectory is None else [trajectory]
+        outputs = claim([*figures, *table_files(tables)], force=force, inputs=read)
         if problem is None:
             count, gains = suited_chips(problem_of, path_error_px=error_px, seed=seed, progress=part(tick, 0.0, 0.4))
             problem = problem_of(count)
         advice = compare_ways(problem, *own, path_error_px=error_px, seed=seed, progress=part(tick, 0.4, 1.0))
-        if output is not None:
-            save(advice_figure(advice), output)
     judged = [way for one in own for way in advice.here.ways if way.code.bits == one.bits]
     known = exposure is not None or chip_ns is not None
     warnings = [] if known else ["the exposure is taken as 50 ms; --exposure says how long it is"]
@@ -144,7 +143,11 @@ def advise(
         **advice.to_dict(), "codes": [way.to_dict() for way in judged], "other_chips_db": gains, "plot": output,
         "seed": seed, "warnings": warnings,
     }  # fmt: skip
-    finish(result, as_json=as_json, show=lambda console: _show(console, advice, judged, gains, output), tables=tables)
+    finish(
+        result, as_json=as_json, show=lambda console: _show(console, advice, judged, gains, output), outputs=outputs,
+        save=lambda made: output and save(advice_figure(advice), made[output]), tables=tables,
+        found=advice.here.sentence,
+    )  # fmt: skip
 
 
 def _chip_time_ns(stated: set[int | None], chips: int | None, exposure_s: float | None) -> int | None:

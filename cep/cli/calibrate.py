@@ -181,7 +181,7 @@ def calibrate(
         tick(0.0, "reading the photo")
         from cep.codes.sources import load_codes
         from cep.io.images import parse_gamma, read_image, read_photo
-        from cep.io.outputs import claim_folder
+        from cep.io.outputs import claim_folder, saying
         from cep.workflows.calibrate import (
             CALIBRATION_FILES,
             check_options,
@@ -192,6 +192,7 @@ def calibrate(
         from cep.workflows.calibrate_folder import describe_motion
         from motdiff.estimators.coded.codes import check_codes
         from motdiff.io.gyro_tables import read_gyro
+        from motdiff.io.trajectories import trajectory_text
 
         check_options(method, options)
         if len(images) > 1 and not code:
@@ -241,7 +242,8 @@ def calibrate(
             source |= {"images": [str(one) for one in images]}
         if codes is not None:
             source |= {"codes": [one.bits for one in codes]}
-        files = found.save(folder, source=source, force=force, bits=min(photos[0].bits, 16), gamma=gamma)
+        with saying(trajectory_text(found.best)):
+            files = found.save(folder, source=source, force=force, bits=min(photos[0].bits, 16), gamma=gamma)
         tick(1.0)
     motion = found.best
     warnings = [in_options(line, context) for line in found.warnings]
@@ -315,7 +317,7 @@ def _calibrate_folder(
         from cep.workflows.calibrate_folder import calibrate_folder
 
         check_options(method, options)
-        claim(table_files(tables), force=force)
+        outputs = claim(table_files(tables), force=force)
         found = calibrate_folder(
             folder, output, method=method, samples=options["samples"], sharp=options["sharp"], gamma=gamma, seed=seed,
             cache=cache, workers=workers, dask=dask, force=force, progress=tick,
@@ -327,5 +329,6 @@ def _calibrate_folder(
         title="the motion in each photo",
         noun="photos",
         as_json=as_json,
+        outputs=outputs,
         tables=tables,
     )

@@ -10,6 +10,7 @@ import typer
 from cep.cli.code_options import ChipTime, Device, chips_option
 from cep.cli.console import finish, progress, table
 from cep.cli.options import Force, Json, Seed, TableFile, output_option, table_files
+from cep.cli.search_run import in_bits
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -57,14 +58,18 @@ def calibration_set(
     from cep.workflows.calibration_set import set_files
 
     claim_folder(output, set_files(photos, file_format), force=force)
-    claim(table_files(tables), force=force)
+    outputs = claim(table_files(tables), force=force)
     with progress("designing codes") as tick:
         found = design(
             photos, chips=chips, chip_ns=chip_ns, device=device, rng=np.random.default_rng(seed), progress=tick
         )
-        files = found.save(output, file_format=file_format, force=force)
+    files = [output / name for name in set_files(photos, file_format)]
     result = {"folder": output, "files": files, **found.to_dict(output), "seed": seed}
-    finish(result, as_json=as_json, show=lambda console: _show(console, found, output), tables=tables)
+    finish(
+        result, as_json=as_json, show=lambda console: _show(console, found, output), outputs=outputs,
+        save=lambda _made: found.save(output, file_format=file_format, force=force), tables=tables,
+        found=in_bits(found.codes),
+    )  # fmt: skip
 
 
 def _show(console: Console, found: CalibrationSet, folder: Path) -> None:

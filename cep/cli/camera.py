@@ -31,7 +31,7 @@ def list_(tables: TableFile = None, force: Force = False, as_json: Json = False)
     from cep.io.outputs import claim
     from cep.optics.camera import Camera, camera_names
 
-    claim(table_files(tables), force=force)
+    outputs = claim(table_files(tables), force=force)
     cameras = [Camera.load(name) for name in camera_names()]
     rows = [
         (one.name, one.kind, f"{one.full_well_e:.0f}", f"{one.read_noise_e:g}", one.bits,
@@ -40,7 +40,7 @@ def list_(tables: TableFile = None, force: Force = False, as_json: Json = False)
     ]  # fmt: skip
     shown = table("cameras", ("name", "kind", "full well", "read noise", "bits", "gain"), rows)
     result = {"cameras": [one.to_dict() for one in cameras]}
-    finish(result, as_json=as_json, show=lambda console: console.print(shown), tables=tables)
+    finish(result, as_json=as_json, show=lambda console: console.print(shown), outputs=outputs, tables=tables)
 
 
 @camera.command("show")
@@ -131,15 +131,14 @@ def estimate(
         check_figure_name(picture)
     except ValueError as error:
         raise ValueError(f"--plot: {error}") from None
-    claim([output, picture, *table_files(tables)], force=force, inputs=[*flats, *(dark or ())])
+    outputs = claim([output, picture, *table_files(tables)], force=force, inputs=[*flats, *(dark or ())])
     with progress("measuring") as tick:
         found = estimate_camera(
             flats, dark=dark or (), black_dn=black, bits=bits, gamma=gamma, name=output.stem, progress=tick
         )
-        file, figure = found.save(output, picture, force=force)
     transfer = found.transfer
     result = {
-        "file": file, "image": figure, "camera": found.camera.to_dict(), **transfer.to_dict(),
+        "file": output, "image": picture, "camera": found.camera.to_dict(), **transfer.to_dict(),
         "warnings": list(transfer.warnings),
     }  # fmt: skip
 
@@ -151,6 +150,9 @@ def estimate(
             for point in transfer.points
         ]  # fmt: skip
         console.print(table("photon transfer", ("mean above black, DN", "variance, DN²", "electrons", "use"), rows))
-        console.print(f"{file}: the camera, for --camera; the curve is in {figure}")
+        console.print(f"{output}: the camera, for --camera; the curve is in {picture}")
 
-    finish(result, as_json=as_json, show=show, tables=tables)
+    finish(
+        result, as_json=as_json, show=show, outputs=outputs, tables=tables, found=transfer.summary,
+        save=lambda made: found.save(made[output], made[picture]),
+    )  # fmt: skip

@@ -11,6 +11,8 @@ from cep.cli.console import finish
 from cep.cli.options import Force, Json, output_option
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rich.console import Console
 
 __all__ = ["cite"]
@@ -42,11 +44,8 @@ def cite(
     from cep.workflows.cite import SOFTWARE, software
     from cep.workflows.cite import cite as find
 
-    if output is not None:
-        claim([output], force=force)
+    outputs = claim([] if output is None else [output], force=force)
     found = find(methods or ())
-    if output is not None:
-        write_text(output, found.bibtex)
     entries = {key: software() if key == SOFTWARE else works()[key] for key in found.works}
     result = {
         "works": [
@@ -64,4 +63,8 @@ def cite(
         else:
             console.print(f"{output}: {len(found.works)} entries")
 
-    finish(result, as_json=as_json, show=page)
+    def save(made: Mapping[Path, Path]) -> None:
+        if output is not None:
+            write_text(made[output], found.bibtex)
+
+    finish(result, as_json=as_json, show=page, outputs=outputs, save=save)

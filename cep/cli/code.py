@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -95,8 +96,7 @@ def audit(
     Example: cep audit proof44/proof.jsonl --blocks 8
     """
     from cep.codes.sources import find_code
-    from cep.io.files import json_text
-    from cep.io.outputs import claim, write_text
+    from cep.io.outputs import Outputs
     from cep.proofs.audit import audit as audited
     from cep.proofs.measure import find_figures
     from cep.proofs.verify.blocks import is_proof
@@ -125,10 +125,11 @@ def audit(
     error_px = None if moved is None or trajectory is None else stated_uncertainty_px(moved, trajectory)
     motion = None if moved is None else moved.trajectory
     own = find_figures(figure or ())
+    outputs = Outputs((*([output] if output else []), *table_files(tables)), force)
     with progress("auditing") as tick:
         found = audited(
             stored.code, motion, camera=noise, flips=flips, figures=own, progress=tick,
-            on_checked=lambda: claim([*([output] if output else []), *table_files(tables)], force=force),
+            on_checked=outputs.check,
         )  # fmt: skip
         judged = None
         if motion is not None:
@@ -152,9 +153,10 @@ def audit(
         "gains_db": None if judged is None else judged.gains_db,
     }
     result = {**advised, **found.to_dict(), "verified": verdict, "seed": seed, "warnings": warnings}
-    if output:
-        write_text(output, json_text(result))
-    finish(result, as_json=as_json, tables=tables, show=lambda console: _show(console, found, verdict, said=said))
+    finish(
+        result, as_json=as_json, tables=tables, show=lambda console: _show(console, found, verdict, said=said),
+        outputs=outputs, save=partial(_write, output, result),
+    )  # fmt: skip
 
 
 def _searched_with(stored: StoredCode, name: str) -> Camera | None:
@@ -178,18 +180,15 @@ def _audit_proof(path: Path, blocks: int, output: Path | None, *, force: bool, s
 
     import numpy as np
 
-    from cep.io.files import json_text
-    from cep.io.outputs import claim, write_text
+    from cep.io.outputs import claim
     from cep.proofs.verify.blocks import verify_proof
 
-    claim([output] if output else [], force=force, inputs=[path])
+    outputs = claim([output] if output else [], force=force, inputs=[path])
     with progress("auditing") as tick:
         verdict = verify_proof(path, blocks=blocks, rng=np.random.default_rng(seed), progress=tick)
     if not verdict:
         raise ValueError(f"{path}: the proof does not hold: {verdict.reasons[-1]}")
     result = {"proof": path, **asdict(verdict), "seed": seed, "warnings": []}
-    if output:
-        write_text(output, json_text(result))
 
     def show(console: Console) -> None:
         opened = f"{verdict.fewest_open} to {verdict.most_open}"
@@ -202,7 +201,16 @@ def _audit_proof(path: Path, blocks: int, output: Path | None, *, force: bool, s
         for reason in verdict.reasons:
             console.print(f"  {reason}")
 
-    finish(result, as_json=as_json, show=show)
+    finish(result, as_json=as_json, show=show, outputs=outputs, save=partial(_write, output, result))
+
+
+def _write(output: Path | None, result: Mapping[str, object], made: Mapping[Path, Path]) -> None:
+    """Write a result as JSON, where a file is named."""
+    from cep.io.files import json_text
+    from cep.io.outputs import write_text
+
+    if output is not None:
+        write_text(made[output], json_text(result))
 
 
 def _show(console: Console, found: Audit, verdict: Verdict | None, *, said: str | None) -> None:
@@ -264,7 +272,7 @@ def mtf(
     Example: cep mtf --trajectory trajectory.json --code code.json --code raskar-52 -o mtf.png
     """
     from cep.codes.sources import code_label, load_code
-    from cep.io.outputs import claim
+    from cep.io.outputs import Outputs
     from cep.plots import check_figure_name
     from cep.proofs.measure import figure_head, figure_in_words, find_figures
     from cep.workflows.mtf import OPEN, compare_mtfs
@@ -278,11 +286,9 @@ def mtf(
         while label in (OPEN, *shutters):
             label += "'"
         shutters[label] = load_code(source)
+    outputs = Outputs((output, *table_files(tables)), force)
     with progress("drawing"):
-        found = compare_mtfs(
-            motion, shutters, figures=own, on_checked=lambda: claim([output, *table_files(tables)], force=force)
-        )
-        found.save(output)
+        found = compare_mtfs(motion, shutters, figures=own, on_checked=outputs.check)
 
     def show(console: Console) -> None:
         heads = (figure_head(*item) for item in found.rows[OPEN].figures.items())
@@ -296,7 +302,10 @@ def mtf(
         ]
         console.print(table(str(output), ("code", "min MTF", "noise gain, dB", "MSE, dB", *heads), rows))
 
-    finish({"image": output, "curves": found.to_dict(), "seed": seed}, as_json=as_json, show=show, tables=tables)
+    finish(
+        {"image": output, "curves": found.to_dict(), "seed": seed}, as_json=as_json, show=show, outputs=outputs,
+        save=lambda made: found.save(made[output]), tables=tables,
+    )  # fmt: skip
 
 
 def _place(at: tuple[float, ...], in_chips: bool) -> str:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
     from rich.text import Text
 
+    from cep.io.outputs import Outputs
     from cep.io.tables import Sheet
 
 __all__ = [
@@ -49,9 +50,16 @@ class Tick(Protocol):
 
 
 def finish(
-    result: Mapping[str, object], *, as_json: bool, show: Callable[[Console], None], tables: Path | None = None
+    result: Mapping[str, object],
+    *,
+    as_json: bool,
+    show: Callable[[Console], None],
+    outputs: Outputs | None = None,
+    save: Callable[[Mapping[Path, Path]], object] = lambda _made: None,
+    tables: Path | None = None,
+    found: str = "",
 ) -> None:
-    """Print a command's result: as strict JSON, or through ``show`` for people.
+    """Write a command's outputs, all or none, and print its result: as strict JSON, or through ``show`` for people.
 
     Parameters
     ----------
@@ -59,13 +67,22 @@ def finish(
         ``warnings``, where present, go to stderr for people.
     as_json : bool
     show : function that prints on the console it is given
+    outputs : Outputs, optional
+        Files to write.
+    save : function, optional
+        Writes them under temporary names: it is given the mapping of each file to its own.
     tables : Path, optional
-        File for the tables that ``show`` prints, whole: .tex, .csv or .md.
+        That of ``outputs`` for the tables that ``show`` prints, whole: .tex, .csv or .md.
+    found : str
+        What must not be lost: it is told where the outputs cannot be written.
     """
-    if tables is not None:
-        from cep.io.tables import write_sheets
+    if outputs is not None:
+        with outputs.written(found=found) as made:
+            if tables is not None:
+                from cep.io.tables import write_sheets
 
-        write_sheets(_sheets(show), tables)
+                write_sheets(_sheets(show), made[tables])
+            save(made)
     if as_json:
         from cep.io.files import json_text
 
@@ -145,7 +162,7 @@ def explain(error: BaseException) -> int:
         complain((str(error) or "wrong input") + notes)
         return BAD_INPUT
     if isinstance(error, MemoryError):
-        complain(f"not enough memory ({error}): use a smaller photo or crop it")
+        complain(f"not enough memory ({error}): use a smaller photo or crop it{notes}")
         return FAILURE
     kind = "" if isinstance(error, RuntimeError) else f"{type(error).__name__}: "
     complain(f"{kind}{error}{notes}")

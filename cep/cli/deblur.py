@@ -104,7 +104,7 @@ def deblur(
         shutter = None if code is None else load_code(code)
         target = output or image.with_name(f"{image.stem}_sharp.png")
         check_image_name(target)
-        claim([target], force=force, inputs=[image])
+        outputs = claim([target], force=force, inputs=[image])
 
         from cep.io.files import load_psf
         from cep.optics.path_limits import check_resolved
@@ -148,14 +148,16 @@ def deblur(
             estimate = estimate_motion(photo.pixels, seed=seed, progress=part(tick, 0.05, 0.75))
             tick(0.75, "restoring")
             sharpened = sharpen(photo.pixels, estimate)
-            write_image(target, sharpened.image, bits=photo.bits, gamma=gamma)
+            with outputs.written() as made:
+                write_image(made[target], sharpened.image, bits=photo.bits, gamma=gamma)
             seconds = time.perf_counter() - started
         else:
             restored = restore(
                 photo.pixels, kernel, trajectory=motion, code=shutter, method=method, progress=part(tick, 0.05, 0.98),
                 **options,
             )  # fmt: skip
-            restored.save(target, bits=photo.bits, gamma=gamma)
+            with outputs.written() as made:
+                restored.save(made[target], bits=photo.bits, gamma=gamma)
         tick(1.0)
     if alone:
         _finish_alone(sharpened, target, seconds=seconds, seed=seed, warnings=photo.warnings, as_json=as_json)

@@ -49,7 +49,7 @@ def emulate(
 
     Example: cep hw emulate uno --link uno --vcd played.vcd
     """
-    from cep.io.outputs import claim
+    from cep.io.outputs import Outputs, claim
     from hw.emulation.build import EmulationError
     from hw.emulation.uno import EmulatedUno
 
@@ -73,10 +73,8 @@ def emulate(
     finally:
         uno.stop()
     if vcd is not None:
-        from cep.io.outputs import new_file
-
-        with new_file(vcd) as temporary:
-            uno.write_vcd(temporary)
+        with Outputs((vcd,), force).written() as made:
+            uno.write_vcd(made[vcd])
     edges = uno.edges()
     result = {"board": board, "port": port, "edges": len(edges), "open": bool(edges and edges[-1][1]), "vcd": vcd}
     finish(result, as_json=as_json, show=lambda console: console.print(

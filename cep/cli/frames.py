@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,25 +42,28 @@ def optimize_frames(task: Task, frames: int, run: SearchRun) -> Callable[[], Non
     """
     from functools import partial
 
-    from cep.io.outputs import claim
     from cep.workflows.frames import optimize_frames as find_frames
     from cep.workflows.frames import write_frames
 
     stem, suffix = run.output.stem, run.output.suffix
     files = [run.output.with_name(f"{stem}_{number}{suffix}") for number in range(1, frames + 1)]
 
-    def keep(found: FramesResult) -> None:
-        """Write the codes before they are measured: Ctrl-C from here on must not lose them."""
-        with run.keeping(*found.codes):
-            write_frames(files, found, described=task.described)
+    outputs = run.outputs(*files)
 
-    best = find_frames(
-        task.problem, run.how, frames, progress=run.tick, on_found=keep,
-        on_checked=lambda: claim(run.outputs(*files), force=run.force),
-    )  # fmt: skip
-    best.save(files, described=task.described)
+    def alone(found: FramesResult, made: Mapping[Path, Path]) -> None:
+        """Write the codes without what they are worth."""
+        write_frames([made[file] for file in files], found, described=task.described)
+
+    with run.keeping(*files) as keep:
+        best = find_frames(
+            task.problem, run.how, frames, progress=run.tick, on_checked=outputs.check,
+            on_found=lambda found: keep(found.codes, partial(alone, found)),
+        )  # fmt: skip
     result = {"files": files, **best.to_dict(), "warnings": list(best.warnings)}
-    return run.shown(result, partial(_show, best=best, files=files))
+    return run.shown(
+        result, partial(_show, best=best, files=files), outputs=outputs, codes=best.found.codes,
+        save=lambda made: best.save([made[file] for file in files], described=task.described),
+    )  # fmt: skip
 
 
 def _show(console: Console, *, best: FramesOptimum, files: Sequence[Path]) -> None:

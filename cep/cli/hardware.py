@@ -66,8 +66,8 @@ def export(
     profile = checked_profile(program, stored, source=code, device=device)
     file = code_file(code)
     target = output or Path(file_name("code" if file is None else file.stem, file_format))
-    claim([target], force=force, inputs=[] if file is None else [file])
-    write_text(target, export_program(program, file_format, device=profile))
+    outputs = claim([target], force=force, inputs=[] if file is None else [file])
+    text = export_program(program, file_format, device=profile)
     result = {
         "file": target,
         "format": file_format,
@@ -76,10 +76,14 @@ def export(
         "warnings": [f"{target}: {warning}" for warning in warnings],
         "seed": seed,
     }
-    finish(result, as_json=as_json, show=lambda console: console.print(
+    said = (
         f"{target}: {program.chips} chips of {program.chip_ns} ns, {program.pulses} openings, "
         f"{program.duration_ns / 1e6:.4g} ms; read back, edges identical; trust C: {Trust.C.meaning}"
-    ))  # fmt: skip
+    )
+    finish(
+        result, as_json=as_json, show=lambda console: console.print(said), outputs=outputs,
+        save=lambda made: write_text(made[target], text),
+    )  # fmt: skip
 
 
 def upload(
@@ -122,7 +126,7 @@ def upload(
     named_port(port)
     program, profile = load_program(code, chip_ns=chip_ns, device=device)
     file = code_file(code)
-    claim([output] if output else [], force=force, inputs=[] if file is None else [file])
+    outputs = claim([output] if output else [], force=force, inputs=[] if file is None else [file])
     with open_shutter(port, driver=driver) as shutter:
         report = shutter.upload(
             ShutterCode(program.bits, program.chip_ns), profile=profile, arm=arm, play=play, lease_ms=lease_ms,
@@ -145,7 +149,8 @@ def upload(
             "seed": seed,
         }
         if output:
-            write_text(output, json_text(result))  # in here, since a command that fails must leave nothing armed
+            with outputs.written() as made:  # in here, since a command that fails must leave nothing armed
+                write_text(made[output], json_text(result))
     lease = f" for {report.lease_ms} ms" if report.lease_ms else ""
     armed = f"; armed{lease}" if report.armed else "; armed and triggered already"
     then = "; played once" if play else armed if arm else ""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from cep.bench.job import Job, Part
     from cep.bench.tables import Column, Entry, Table, TextTable
+    from cep.io.outputs import Outputs
     from cep.io.tables import Bold
     from cep.workflows.folders import FolderResults
 
@@ -49,6 +50,7 @@ def finish_folder(
     title: str,
     noun: str,
     as_json: bool,
+    outputs: Outputs | None = None,
     tables: Path | None = None,
 ) -> None:
     """Print the table of a folder and end the command.
@@ -63,7 +65,7 @@ def finish_folder(
     title, noun : str
         Of the table, and what its rows are, in the plural.
     as_json : bool
-    tables : Path, optional
+    outputs, tables : optional
         As of :func:`cep.cli.console.finish`.
 
     Raises
@@ -92,6 +94,7 @@ def finish_folder(
         {**result, "failures": failures, "missing": missing, "warnings": told},
         as_json=as_json,
         show=show,
+        outputs=outputs,
         tables=tables,
     )
     end(missing=missing, failed=len(failures))

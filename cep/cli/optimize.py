@@ -303,7 +303,7 @@ def optimize(
                 )
             from cep.workflows.optimize_folder import optimize_folder
 
-            claim(table_files(tables), force=force)
+            outputs = claim(table_files(tables), force=force)
             found = optimize_folder(
                 each, task, how, output, figures=list(own), profile=profile, cache=cache, workers=workers, dask=dask,
                 force=force, progress=tick,
@@ -316,6 +316,7 @@ def optimize(
                 title="a code for each motion (worse direction where unknown)",
                 noun="motions",
                 as_json=as_json,
+                outputs=outputs,
                 tables=tables,
             )
         else:
@@ -336,12 +337,12 @@ def optimize(
             if frames > 1:
                 show = optimize_frames(task(stored, trajectory), frames, run)
             else:
-                outputs = (run.outputs(), [] if trajectory is None else [trajectory])
+                outputs = run.outputs(inputs=[] if trajectory is None else [trajectory])
                 chosen: ChipCount | None = None
                 began = time.monotonic()
                 error_px = 0.0 if trajectory is None else stated_uncertainty_px(stored, trajectory) or 0.0
                 if chips is None and fixed is None and method == "anneal" and objective in (None, "mse"):
-                    claim(outputs[0], force=force, inputs=outputs[1])
+                    outputs.check()
                     time_of_all_s = ASSUMED_EXPOSURE_S if exposure_s is None else exposure_s
                     chosen = choose_chips(
                         lambda count: task(stored, trajectory, wish_of(count, time_of_all_s)).problem,
@@ -350,12 +351,11 @@ def optimize(
                     )  # fmt: skip
                     wish = wish_of(chosen.chips, time_of_all_s)
                 wanted = task(stored, trajectory, wish)
-                claim(outputs[0], force=force, inputs=outputs[1])
+                outputs.check()
 
-                def keep(code: ShutterCode, found: Found) -> None:
-                    """Write the code before it is compared: Ctrl-C from here on must not lose it."""
-                    with run.keeping(code):
-                        write_code(run.output, StoredCode(code, problem=stored_search(wanted.described, found)))
+                def alone(code: ShutterCode, found: Found, made: Mapping[Path, Path]) -> None:
+                    """Write the code without what it is worth."""
+                    write_code(made[run.output], StoredCode(code, problem=stored_search(wanted.described, found)))
 
                 if method == "exact":
                     asked = searched_problem(wanted.problem)
@@ -366,21 +366,25 @@ def optimize(
                 left_s = time_s
                 if chosen is not None and time_s is not None:
                     left_s = max(time_s - (time.monotonic() - began), _LEAST_LEFT * time_s)
-                best = find(
-                    wanted.problem, **(asdict(how) | {"time_s": left_s}), along=wanted.along, path_error_px=error_px,
-                    start=[] if chosen is None or chosen.code is None else [chosen.code],
-                    interrupted=chosen is not None and chosen.early == "interrupted", figures=own, blocks=blocks,
-                    progress=part(tick, 0.0 if chosen is None else _CHOOSING, 1.0), on_found=keep,
-                )  # fmt: skip
+                with run.keeping() as keep:
+                    best = find(
+                        wanted.problem, **(asdict(how) | {"time_s": left_s}), along=wanted.along,
+                        path_error_px=error_px, start=[] if chosen is None or chosen.code is None else [chosen.code],
+                        interrupted=chosen is not None and chosen.early == "interrupted", figures=own, blocks=blocks,
+                        progress=part(tick, 0.0 if chosen is None else _CHOOSING, 1.0),
+                        on_found=lambda code, found: keep([code], partial(alone, code, found)),
+                    )  # fmt: skip
                 best = replace(best, how=how)  # the limit that a warning names is the one that was given
-                best.save(run.output, described=wanted.described)
                 others = {} if chosen is None else chosen.gains_db
                 fewer = [] if chosen is None or not chosen.early else [_FEWER[chosen.early]]
                 result = {
                     "file": run.output, **best.to_dict(), **({} if chosen is None else {"other_chips_db": others}),
                     "warnings": [*best.warnings, *fewer],
                 }  # fmt: skip
-                show = run.shown(result, partial(_show, best=best, others=others, file=run.output))
+                show = run.shown(
+                    result, partial(_show, best=best, others=others, file=run.output), outputs=outputs,
+                    save=lambda made: best.save(made[run.output], described=wanted.described), codes=[best.code],
+                )  # fmt: skip
     show()
 
 

@@ -93,21 +93,26 @@ def optimize_class(task: ClassTask, run: SearchRun) -> Callable[[], None]:
     from functools import partial
 
     from cep.io.files import StoredCode, write_code
-    from cep.io.outputs import claim
     from cep.workflows.optimize import stored_search
     from cep.workflows.optimize_class import optimize_class as find
 
-    claim(run.outputs(), force=run.force)
+    outputs = run.outputs()
+    outputs.check()
 
-    def keep(code: ShutterCode, found: Found) -> None:
-        """Write the code before it is judged: Ctrl-C from here on must not lose it."""
-        with run.keeping(code):
-            write_code(run.output, StoredCode(code, problem=stored_search(task.described, found)))
+    def alone(code: ShutterCode, found: Found, made: Mapping[Path, Path]) -> None:
+        """Write the code without what it is worth."""
+        write_code(made[run.output], StoredCode(code, problem=stored_search(task.described, found)))
 
-    best = find(task.motions, task.problem, run.how, others=task.others, progress=run.tick, on_found=keep)
-    best.save(run.output, described=task.described)
+    with run.keeping() as keep:
+        best = find(
+            task.motions, task.problem, run.how, others=task.others, progress=run.tick,
+            on_found=lambda code, found: keep([code], partial(alone, code, found)),
+        )  # fmt: skip
     result = {"file": run.output, **best.to_dict(), "warnings": [*task.warnings, *best.warnings]}
-    return run.shown(result, partial(_show, best=best, file=run.output))
+    return run.shown(
+        result, partial(_show, best=best, file=run.output), outputs=outputs, codes=[best.code],
+        save=lambda made: best.save(made[run.output], described=task.described),
+    )  # fmt: skip
 
 
 def _show(console: Console, *, best: ClassOptimum, file: Path) -> None:

@@ -38,6 +38,7 @@ from cep.cli.options import (
     output_option,
     table_files,
 )
+from cep.cli.search_run import in_bits
 from cep.workflows.search_options import ending
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def pareto(
     Example: cep pareto --chips 52 --open 22:40 --time 60 -o front.json --plot front.png
     """
     with progress("searching") as tick:
-        from cep.io.outputs import claim
+        from cep.io.outputs import Outputs
         from cep.search.limits import RunLimits
         from cep.search.problem import Scenario, SearchProblem
         from cep.workflows.pareto import pareto as find_front
@@ -143,15 +144,20 @@ def pareto(
             camera=load_camera(camera, photons=photons, read_noise=read_noise),
             chip_ns=chip_ns,
         )
-        inputs = [] if trajectory is None else [trajectory]
+        inputs = () if trajectory is None else (trajectory,)
+        outputs = Outputs((output, picture, *table_files(tables)), force, inputs)
         found = find_front(
             problem, steps=steps, time_s=time_s, seed=seed, path_error_px=error_px or 0.0, progress=tick,
-            on_checked=lambda: claim([output, picture, *table_files(tables)], force=force, inputs=inputs),
+            on_checked=outputs.check,
         )  # fmt: skip
-        found.save(output, picture, source={"trajectory": trajectory, "linear_px": linear})
     warnings = [in_options(line, context) for line in found.warnings]
     result = {"file": output, "plot": picture, **found.to_dict(), "seed": seed, "warnings": warnings}
-    finish(result, as_json=as_json, show=lambda console: _show(console, found, output, picture), tables=tables)
+    source = {"trajectory": trajectory, "linear_px": linear}
+    finish(
+        result, as_json=as_json, show=lambda console: _show(console, found, output, picture), outputs=outputs,
+        save=lambda made: found.save(made[output], made[picture], source=source), tables=tables,
+        found=in_bits(point.code for point in found.front.points),
+    )  # fmt: skip
 
 
 def _show(console: Console, found: FrontComparison, output: Path, picture: Path) -> None:

@@ -63,7 +63,13 @@ def refine(
         from cep.io.outputs import claim
         from cep.workflows.calibrate import check_times
         from motdiff.estimators.coded.codes import check_codes
-        from motdiff.io.trajectories import StoredMotion, read_motion, stated_uncertainty_px, write_motion
+        from motdiff.io.trajectories import (
+            StoredMotion,
+            read_motion,
+            stated_uncertainty_px,
+            trajectory_text,
+            write_motion,
+        )  # fmt: skip
 
         parse_gamma(gamma)
         if trajectory is None:
@@ -75,7 +81,7 @@ def refine(
         check_times(codes)
         target = output or trajectory.with_name(f"{trajectory.stem}_refined.json")
         code_files = [file for file in map(code_file, code) if file is not None]
-        claim([target], force=force, inputs=[trajectory, *images, *code_files])
+        outputs = claim([target], force=force, inputs=[trajectory, *images, *code_files])
         stored = read_motion(trajectory)
         stated = stated_uncertainty_px(stored, trajectory)
         photos = [read_photo(one, gamma=gamma) for one in images]
@@ -98,7 +104,8 @@ def refine(
             "codes": [one.bits for one in codes],
             "path_uncertainty_px": found.uncertainty_px,
         }
-        write_motion(target, StoredMotion(found.trajectory, source=source))
+        with outputs.written(found=trajectory_text(found.trajectory)) as made:
+            write_motion(made[target], StoredMotion(found.trajectory, source=source))
         tick(1.0)
     motion = found.trajectory
     result = {

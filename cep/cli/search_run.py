@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +15,15 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from cep.cli.console import Tick
+    from cep.io.outputs import Outputs
     from cep.optics.code import ShutterCode
     from cep.workflows.optimize import Search
     from hw.device import DeviceProfile
 
-__all__ = ["SearchRun"]
+__all__ = ["SearchRun", "in_bits"]
+
+Write = Callable[[Mapping[Path, Path]], object]
+Keep = Callable[["Sequence[ShutterCode]", Write], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,35 +51,68 @@ class SearchRun:
     tables: Path | None
     tick: Tick
 
-    def outputs(self, *files: Path) -> list[Path]:
+    def outputs(self, *files: Path, inputs: Sequence[Path] = ()) -> Outputs:
         """Return the files that are written: the codes', :attr:`output` when omitted, and the tables'."""
-        return [*(files or (self.output,)), *table_files(self.tables)]
+        from cep.io.outputs import Outputs
+
+        return Outputs((*(files or (self.output,)), *table_files(self.tables)), self.force, tuple(inputs))
 
     @contextmanager
-    def keeping(self, *codes: ShutterCode) -> Iterator[None]:
-        """Write codes that were found; where that fails, as on a full disk, the error says them: none is lost.
+    def keeping(self, *files: Path) -> Iterator[Keep]:
+        """Lose no codes that were found while they are compared: Ctrl-C writes them, another error tells them.
 
-        Raises
+        Parameters
+        ----------
+        *files : Path
+            Of the codes, :attr:`output` when omitted.
+
+        Yields
         ------
-        ValueError
-            If the device cannot play one.
+        function
+            To be called with the codes, and with what writes them under the temporary names of the files; raises
+            ValueError where the device cannot play one.
         """
+        from cep.io.outputs import Outputs
         from cep.search.playable import unplayable
 
-        for code in codes:
-            if reason := unplayable(code.bits, self.profile, code.chip_ns):
-                raise ValueError(reason)
+        kept: list[tuple[str, Write]] = []
+
+        def keep(codes: Sequence[ShutterCode], write: Write) -> None:
+            for code in codes:
+                if reason := unplayable(code.bits, self.profile, code.chip_ns):
+                    raise ValueError(reason)
+            kept.append((in_bits(codes), write))
+
         try:
-            yield
-        except OSError as error:
-            error.add_note(f"found: {', '.join(code.bits for code in codes)}")
+            yield keep
+        except KeyboardInterrupt:
+            for bits, write in kept:
+                with Outputs(files or (self.output,), self.force).written(found=bits) as made:
+                    write(made)
+            raise
+        except Exception as error:
+            for bits, _ in kept:
+                error.add_note(f"found: {bits}")
             raise
 
-    def shown(self, result: Mapping[str, Any], show: Callable[[Console], None]) -> Callable[[], None]:
-        """Return the function that prints a result: by ``show`` for people, or as JSON with the seed."""
+    def shown(
+        self,
+        result: Mapping[str, Any],
+        show: Callable[[Console], None],
+        *,
+        outputs: Outputs,
+        save: Write,
+        codes: Sequence[ShutterCode],
+    ) -> Callable[[], None]:
+        """Return the function that writes the outputs and prints a result, see :func:`cep.cli.console.finish`."""
         from functools import partial
 
         return partial(
-            finish, {**result, "seed": self.how.seed}, as_json=self.as_json, show=show,
-            tables=self.tables,
+            finish, {**result, "seed": self.how.seed}, as_json=self.as_json, show=show, outputs=outputs, save=save,
+            tables=self.tables, found=in_bits(codes),
         )  # fmt: skip
+
+
+def in_bits(codes: Iterable[ShutterCode]) -> str:
+    """Write codes for an error line."""
+    return ", ".join(code.bits for code in codes)

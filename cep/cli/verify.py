@@ -67,26 +67,30 @@ def verify(
     assert capture is not None
     from cep.codes.sources import code_file
     from cep.io.files import stored_device
-    from cep.io.outputs import claim
+    from cep.io.outputs import Outputs, claim
     from cep.workflows.playback import playback_files, read_playback
 
     motion = None if trajectory is None and linear is None else load_motion(trajectory, linear).trajectory
     written = [] if output is None else playback_files(output, with_psf=motion is not None)
     read = [file for file in (code_file(code), capture, trajectory) if file]
     claim([*written, *table_files(tables)], force=force, inputs=read)
+    outputs = Outputs(tuple(table_files(tables)), force)
+    device = None if output is None else stored_device(stored, source=code)
     found = read_playback(capture, program, signal=signal, trigger=trigger)
-    if output is not None:
-        found.save(output, motion=motion, device=stored_device(stored, source=code), force=force)
     result = {
         "file": capture, "signal": found.signal, **program_figures(program, None), **found.to_dict(), "files": written,
         "warnings": [f"{capture}: {warning}" for warning in found.warnings],
     }  # fmt: skip
-    finish(result, as_json=as_json, tables=tables, show=lambda console: console.print(
-        table(f"{capture}, {found.signal}", ("play", "clock, ppm", "jitter, ns", "worst edge, ns", "same bits"), [
-            (f"{index} at {play.start_ns / 1e6:.4f} ms", -play.scale_ppm, play.jitter_ns, play.worst_ns,
-             "yes" if play.same_bits else "no") for index, play in enumerate(found.plays, start=1)
-        ])
-    ))  # fmt: skip
+    rows = [
+        (f"{index} at {play.start_ns / 1e6:.4f} ms", -play.scale_ppm, play.jitter_ns, play.worst_ns,
+         "yes" if play.same_bits else "no") for index, play in enumerate(found.plays, start=1)
+    ]  # fmt: skip
+    heads = ("play", "clock, ppm", "jitter, ns", "worst edge, ns", "same bits")
+    finish(
+        result, as_json=as_json, show=lambda console: console.print(table(f"{capture}, {found.signal}", heads, rows)),
+        outputs=outputs, tables=tables,
+        save=lambda _made: output and found.save(output, motion=motion, device=device, force=force),
+    )  # fmt: skip
     if found.wrong:
         index, play = next(iter(found.wrong.items()))
         others = f" ({len(found.wrong)} of {len(found.plays)} plays differ)" if len(found.plays) > 1 else ""

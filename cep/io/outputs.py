@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from motdiff.io.outputs import (
@@ -21,11 +22,62 @@ from motdiff.io.outputs import (
     write_text,
 )
 
-__all__ = ["claim", "claim_folder", "new_file", "new_files", "new_folder", "write_bytes", "write_text"]
+__all__ = [
+    "Outputs", "claim", "claim_folder", "new_file", "new_files", "new_folder", "saying", "write_bytes", "write_text",
+]  # fmt: skip
 
 
-def claim(paths: Iterable[Path | str], *, force: bool = False, inputs: Iterable[Path | str] = ()) -> None:
-    """Check, before any work is done, that outputs may be written.
+@dataclass(frozen=True)
+class Outputs:
+    """Files that a command writes: they appear together, or not at all.
+
+    Attributes
+    ----------
+    paths : tuple of Path
+    force : bool
+        Whether existing files may be replaced.
+    inputs : tuple of paths
+        Files that are read, which are not replaced in any case; what is no file counts for nothing.
+    """
+
+    paths: tuple[Path, ...]
+    force: bool = False
+    inputs: tuple[Path | str, ...] = ()
+
+    def check(self) -> None:
+        """Check, before any work is done, that the files may be written; raises as :func:`claim` does."""
+        read = [path for path in map(Path, self.inputs) if path.is_file()]
+        known: set[Path] = set()
+        for path in self.paths:
+            if (real := behind_links(path).absolute()) in known:
+                raise ValueError(f"{path}: would be written twice, every output needs a name of its own")
+            known.add(real)
+            if path.exists() and any(path.samefile(one) for one in read):
+                raise ValueError(f"{path}: is what is read, the output needs another name")
+            if path.is_file() and not self.force:
+                raise ValueError(f"{path}: exists already, use --force to replace it")
+            check_file(path)
+
+    @contextmanager
+    def written(self, *, found: str = "") -> Iterator[dict[Path, Path]]:
+        """Yield a temporary name for each file, as :func:`new_files`; where that fails, ``found`` is said."""
+        with saying(found), new_files(self.paths, force=self.force) as made:
+            yield made
+
+
+@contextmanager
+def saying(found: str) -> Iterator[None]:
+    """Add what was found to the error of writing it, as of a full disk: it must not be lost."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        if found:
+            error.add_note(f"found: {found}")
+        raise
+
+
+def claim(paths: Iterable[Path | str], *, force: bool = False, inputs: Iterable[Path | str] = ()) -> Outputs:
+    """Check, before any work is done, that outputs may be written, and return them.
 
     Parameters
     ----------
@@ -40,17 +92,9 @@ def claim(paths: Iterable[Path | str], *, force: bool = False, inputs: Iterable[
         If a file exists and ``force`` is not given, it is one of the inputs or comes twice, something other than a
         regular file is in its place, or its folder is missing or cannot be written to.
     """
-    read = [path for path in map(Path, inputs) if path.is_file()]
-    known: set[Path] = set()
-    for path in map(Path, paths):
-        if (real := behind_links(path).absolute()) in known:
-            raise ValueError(f"{path}: would be written twice, every output needs a name of its own")
-        known.add(real)
-        if path.exists() and any(path.samefile(one) for one in read):
-            raise ValueError(f"{path}: is what is read, the output needs another name")
-        if path.is_file() and not force:
-            raise ValueError(f"{path}: exists already, use --force to replace it")
-        check_file(path)
+    outputs = Outputs(tuple(map(Path, paths)), force, tuple(inputs))
+    outputs.check()
+    return outputs
 
 
 def claim_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -> None:
@@ -112,7 +156,7 @@ def new_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -
         try:
             target.mkdir(parents=True, exist_ok=True)
             new = {behind_links(target / name): item for name, item in written.items()}
-            replace_all(new, remove=[target / name for name in names if name not in written])
+            replace_all(new, remove=[target / name for name in names if name not in written], force=force)
         except BaseException:
             for folder in missing:
                 with suppress(OSError):  # it was not made, or something else is in it

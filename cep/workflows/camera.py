@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.io.images import RAW_SUFFIXES, read_codes, read_mosaic
-from cep.io.outputs import claim, new_files
+from cep.io.outputs import claim
 from cep.optics.camera import Camera
 from cep.optics.photon_transfer import CodeRange, FramePair, PhotonTransfer, find_code_range, photon_transfer
 from cep.plots.camera import photon_transfer_figure
@@ -41,8 +41,7 @@ class CameraEstimate:
         """Write the camera's file and the curve as a figure, beside it as .png when omitted; returns both paths."""
         figure = path.with_suffix(".png") if figure is None else figure
         check_figure_name(figure)
-        claim([path, figure], force=force)
-        with new_files([path, figure]) as made:
+        with claim([path, figure], force=force).written() as made:
             self.camera.to_file(made[path])
             save(photon_transfer_figure(self.transfer), made[figure])
         return path, figure

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cep.io.outputs import write_text
+from cep.io.outputs import new_files, write_text
 from cep.io.tables import csv_lines
 from cep.jobs.cells import Cell, Figure, Result
 from cep.jobs.engine import Engine
@@ -127,7 +127,8 @@ def run_folder(
         for name in places
     ]
     folder.mkdir(parents=True, exist_ok=True)  # nothing is in it where everything failed
-    write_text(folder / summary, _csv(columns, rows))
+    with new_files([folder / summary], force=force) as made:
+        write_text(made[folder / summary], _csv(columns, rows))
     warnings = [*outcome.warnings, *(f"{name}: {line}" for name, one in ordered.items() for line in one["warnings"])]
     return FolderResults(folder, folder / summary, ordered, rows, outcome.missing, warnings)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cep.io.files import write_code
-from cep.io.outputs import claim_folder
+from cep.io.outputs import claim_folder, new_files
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.engine import Engine
 from cep.jobs.fingerprint import source_version
@@ -97,7 +97,8 @@ def optimize_folder(
             raise NotWrittenError(reason)
         file = target / name / _CODE
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_code(file, stored)
+        with new_files([file], force=force) as made:
+            write_code(made[file], stored)
         return {"file": file, **described}
 
     return run_folder(

@@ -26,14 +26,16 @@ __all__ = [
 
 
 @contextmanager
-def new_files(paths: Iterable[Path | str]) -> Iterator[dict[Path, Path]]:
+def new_files(paths: Iterable[Path | str], *, force: bool = True) -> Iterator[dict[Path, Path]]:
     """Yield a temporary name for each file; on success all files appear together, otherwise none does.
 
     Temporary names end in the file names. A symbolic link stays: the file it leads to is replaced.
 
     Parameters
     ----------
-    paths : files to write, in folders that exist; earlier ones are replaced
+    paths : files to write, in folders that exist
+    force : bool
+        Whether earlier ones are replaced.
 
     Yields
     ------
@@ -42,7 +44,7 @@ def new_files(paths: Iterable[Path | str]) -> Iterator[dict[Path, Path]]:
     Raises
     ------
     ValueError
-        If two of the paths lead to the same file.
+        If two of the paths lead to the same file, or without ``force`` a file has appeared there meanwhile.
     OSError
         If writing fails, as on a full disk; the error names the output, and the earlier files are as they were.
     """
@@ -54,7 +56,7 @@ def new_files(paths: Iterable[Path | str]) -> Iterator[dict[Path, Path]]:
         made = {place: stack.enter_context(hidden_folder(real[place].parent, place)) / place.name for place in places}
         with naming({made[place]: place for place in places}, places[0] if len(places) == 1 else None):
             yield made
-            replace_all({real[place]: made[place] for place in places})
+            replace_all({real[place]: made[place] for place in places}, force=force)
 
 
 @contextmanager
@@ -115,23 +117,32 @@ def check_folder(path: Path | str) -> None:
 # -- the parts of it --------------------------------------------------------------------------------------------------
 
 
-def replace_all(new: Mapping[Path, Path], *, remove: Iterable[Path] = ()) -> None:
+def replace_all(new: Mapping[Path, Path], *, remove: Iterable[Path] = (), force: bool = True) -> None:
     """Rename files to their places and remove others; when a step fails, the earlier files are restored.
+
+    All files are on the disk before the first is renamed: a full one is noticed while nothing has changed.
 
     Parameters
     ----------
     new : mapping from a place to the file that goes there, on the same file system
     remove : files that go, where they exist
+    force : bool
+        Whether files at the places are replaced.
 
     Raises
     ------
+    ValueError
+        If a file is at a place and ``force`` is not given, be it since a moment ago: another process wrote it.
     OSError
         If a file cannot be renamed. A note names what could not be restored, and where it is kept.
     """
     removed = [place for place in remove if os.path.lexists(place)]
+    for temporary in new.values():
+        _sync(temporary)
+    put = Path.replace if force else _put_where_none_is
     if len(new) == 1 and not removed:
         ((place, temporary),) = new.items()
-        temporary.replace(place)
+        put(temporary, place)
         return
     asides: dict[Path, Path] = {}  # a folder for earlier files, in each folder of places
     earlier: dict[Path, Path | None] = {}
@@ -142,9 +153,9 @@ def replace_all(new: Mapping[Path, Path], *, remove: Iterable[Path] = ()) -> Non
                 asides[place.parent] = _hidden(place.parent, place)
             earlier[place] = asides[place.parent] / place.name if os.path.lexists(place) else None
         for place, temporary in new.items():
-            if kept := earlier[place]:
+            if force and (kept := earlier[place]):
                 _keep(place, kept)
-            temporary.replace(place)
+            put(temporary, place)
         for place in removed:
             if kept := earlier[place]:
                 place.replace(kept)
@@ -160,6 +171,36 @@ def replace_all(new: Mapping[Path, Path], *, remove: Iterable[Path] = ()) -> Non
         if restored:
             for aside in asides.values():
                 shutil.rmtree(aside, ignore_errors=True)
+
+
+def _sync(file: Path) -> None:
+    """Wait until a file is on the disk."""
+    handle = os.open(file, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(file)) from error
+    finally:
+        os.close(handle)
+
+
+def _put_where_none_is(file: Path, place: Path) -> None:
+    """Rename a file to a place where there is none, as one step: of two processes one is refused.
+
+    A hard link is made only where nothing is. Without hard links, an empty file is made first, which is one's own.
+    """
+    try:
+        try:
+            os.link(file, place, follow_symlinks=False)
+        except FileExistsError:
+            raise
+        except (OSError, NotImplementedError):
+            os.close(os.open(place, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+            file.replace(place)
+        else:
+            file.unlink()
+    except FileExistsError:
+        raise ValueError(f"{place}: exists already, use --force to replace it") from None
 
 
 def _keep(place: Path, kept: Path) -> None:

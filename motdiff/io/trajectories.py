@@ -15,7 +15,7 @@ from motdiff.io.outputs import write_text
 from motdiff.io.schemas import fault, load_schema
 from motdiff.trajectory import Direction, Trajectory
 
-__all__ = ["SCHEMA", "StoredMotion", "read_motion", "stated_uncertainty_px", "write_motion"]
+__all__ = ["SCHEMA", "StoredMotion", "read_motion", "stated_uncertainty_px", "trajectory_text", "write_motion"]
 
 SCHEMA = "cep.trajectory/1"
 _FARTHEST_PX = 1e5
@@ -62,6 +62,12 @@ def write_motion(path: Path | str, motion: StoredMotion) -> None:
         "source": dict(motion.source),
     }
     write_text(path, json.dumps(document, indent=1) + "\n")
+
+
+def trajectory_text(trajectory: Trajectory) -> str:
+    """Write a path as one line of JSON, which is a trajectory file by itself."""
+    about = {"schema": SCHEMA, "units": "px", "direction": trajectory.direction}
+    return json.dumps({**about, **_samples(trajectory)}, separators=(",", ":"))
 
 
 def read_motion(path: Path | str) -> StoredMotion:

@@ -1,5 +1,6 @@
 """Outputs of a command appear together or not at all, whichever write or rename fails."""
 
+import os
 import subprocess
 import sys
 from functools import cache, partial
@@ -9,10 +10,12 @@ import numpy as np
 import pytest
 from full_disk import failing_rename, full_disk
 
+from cep.io.files import read_code
 from cep.io.outputs import new_files, new_folder, write_text
 from cep.plots.canvas import new_figure
 from cep.search.fronts import pareto
 from cep.search.problem import SearchProblem
+from motdiff.io.trajectories import read_motion
 
 
 def contents(folder):
@@ -122,6 +125,47 @@ def test_what_cannot_be_restored_is_kept_and_named(tmp_path, monkeypatch):
     assert (tmp_path / "b.txt").read_text() == "old b.txt"
 
 
+@pytest.mark.parametrize("links", [True, False])
+def test_what_another_process_wrote_meanwhile_is_not_replaced(tmp_path, monkeypatch, links):
+    """Only the step that renames can tell: a check before it leaves a moment between."""
+
+    def write(name, text, *others):
+        with new_files([tmp_path / name, *(tmp_path / one for one in others)], force=False) as made:
+            for temporary in made.values():
+                write_text(temporary, text)
+            for one in others or (name,):  # the other process is faster
+                (tmp_path / one).write_text("theirs")
+
+    def write_into(folder, text):
+        with new_folder(folder, ["a.txt"]) as made:
+            write_text(made / "a.txt", text)
+            (folder / "a.txt").write_text("theirs")
+
+    with failing_rename(monkeypatch, links=links):
+        for others in ((), ("b.txt",), ("b.txt", "c.txt")):
+            with pytest.raises(ValueError, match=r"\.txt: exists already, use --force to replace it"):
+                write("a.txt", "ours", *others)
+            assert relative(tmp_path) == dict.fromkeys(others or ("a.txt",), b"theirs")
+            for name in others or ("a.txt",):
+                (tmp_path / name).unlink()
+        (tmp_path / "out").mkdir()
+        with pytest.raises(ValueError, match="exists already"):
+            write_into(tmp_path / "out", "ours")
+        with new_files([tmp_path / "d.txt"], force=False) as made:
+            write_text(made[tmp_path / "d.txt"], "ours")
+    assert relative(tmp_path) == {"out": None, "out/a.txt": b"theirs", "d.txt": b"ours"}
+
+
+def test_a_disk_that_is_full_only_when_it_is_flushed(tmp_path, monkeypatch):
+    """As over a network: writing succeeds, and the files are not there."""
+    (tmp_path / "a.txt").write_text("old")
+    before = contents(tmp_path)
+    monkeypatch.setattr(os, "fsync", lambda _file: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    error = error_of(write_set, tmp_path)
+    assert error.filename == str(tmp_path / "a.txt")
+    assert contents(tmp_path) == before
+
+
 def test_two_names_of_one_file_are_refused(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "real")
     with pytest.raises(ValueError, match="the same file"), new_files([tmp_path / "real", tmp_path / "link"]):
@@ -132,6 +176,10 @@ def test_two_names_of_one_file_are_refused(tmp_path):
 # -- commands ---------------------------------------------------------------------------------------------------------
 
 COMMANDS = {
+    "optimize": (
+        "optimize", "--linear", "8", "--chips", "8", "--steps", "5", "-o", "out/code.json", "--table", "out/table.md",
+    ),
+    "mtf": ("mtf", "--linear", "8", "-o", "out/mtf.svg", "--table", "out/mtf.csv"),
     "simulate": ("simulate", "sharp.png", "--trajectory", "trajectory.json", "-o", "out/photo.png"),
     "pareto": ("pareto", "--chips", "8", "--steps", "50", "-o", "out/front.json", "--plot", "figures/front.png"),
     "frames": ("optimize", "--linear", "8", "--chips", "8", "--frames", "3", "--steps", "5", "-o", "out/code.json"),
@@ -188,11 +236,79 @@ def test_a_command_leaves_all_its_files_or_none(cep, ready, monkeypatch, name):
         assert cep.code == 0 or (cep.err.startswith("cep: ") and cep.err.count("\n") == 1), cep.err
         after = contents(".")
         changed = {path for path in after.keys() | before.keys() if after.get(path) != before.get(path)}
-        # the codes of frames are written twice: without figures, so that Ctrl-C loses none, and with
-        expected = (set(), {str(output) for output in outputs}) if name == "frames" or cep.code == 0 else (set(),)
-        assert changed in expected, (fault, options)
+        expected = {str(output) for output in outputs} if cep.code == 0 else set()
+        assert changed in (set(), expected), (fault, options)
         failed += cep.code
     assert failed > len(outputs)
+
+
+FOUND = {
+    "pareto": ("pareto", "--chips", "8", "--steps", "50", "-o", "front.json"),
+    "calibration-set": ("calibration-set", "--photos", "2", "--chips", "4", "-o", "set"),
+    "calibrate": (*COMMANDS["calibrate"][:-1], "motion"),
+    "optimize": ("optimize", "--linear", "8", "--chips", "8", "--steps", "5", "-o", "best.json"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FOUND)
+@pytest.mark.parametrize("fault", ["disk", "taken"])
+def test_what_was_found_is_told_where_it_cannot_be_written(cep, ready, monkeypatch, name, fault):
+    """On a full disk, and where another process has written files of the same names meanwhile."""
+    (output,) = FOUND[name][-1:]
+    file = Path(output, "trajectory.json" if name == "calibrate" else "set.json")
+    file = file if name in ("calibrate", "calibration-set") else Path(output)
+
+    def told(*arguments):
+        before = contents(".")
+        if fault == "disk":
+            with full_disk(monkeypatch, writes=0):
+                line = cep.fails(*arguments)
+            assert contents(".") == before
+            return line
+        link = os.link
+
+        def late(source, target, **options):
+            if Path(target).name == file.name:
+                Path(target).write_text("theirs")
+            return link(source, target, **options)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "link", late)
+            line = cep.refuses(*arguments)
+        assert set(contents(".")) - set(before) <= {str(file), str(file.parent)}
+        assert file.read_text() == "theirs"
+        assert "exists already, use --force" in line
+        return line
+
+    line = told(*FOUND[name])
+    found = line.rstrip("\n").partition("; found: ")[2]
+    if name == "calibrate":
+        Path("again.json").write_text(found)
+        assert read_motion("again.json").trajectory.length_px > 1
+    else:
+        assert all(set(bits) <= set("01") for bits in found.split(", "))
+        assert len(found) > 4
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), MemoryError("1 GiB")])
+@pytest.mark.parametrize("options", [(), ("--frames", "2")])
+def test_a_comparison_that_ends_early_loses_no_code(cep, workplace, monkeypatch, error, options):
+    def ended(*_arguments, **_options):
+        raise error
+
+    for place in ("cep.workflows.optimize.compare", "cep.workflows.frames.joint_figures"):
+        monkeypatch.setattr(place, ended)
+    cep("optimize", "--linear", "8", "--chips", "8", "--steps", "5", *options, "-o", "best.json", "--table", "t.md")
+    files = sorted(str(path) for path in Path().glob("best*.json"))
+    if isinstance(error, KeyboardInterrupt):
+        assert cep.code == 130
+        assert files == (["best_1.json", "best_2.json"] if options else ["best.json"])
+        assert all(read_code(file).code.chips == 8 for file in files)
+    else:
+        assert cep.code == 1
+        assert files == []
+        assert set(cep.err.rstrip("\n").partition("; found: ")[2]) >= {"0", "1"}
+    assert not Path("t.md").exists()
 
 
 def test_a_real_limit_on_file_sizes(ready):
