@@ -2,14 +2,17 @@
 
 numba keys the machine code it keeps by the file of each function alone, and a loop into which other modules' functions
 were inlined would survive their change. So the folder of the kept code is named after all compiled sources together.
+Whoever can write there can have his code run here: no folder is used that another user can write.
 """
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import shutil
 import tempfile
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -35,7 +38,8 @@ _NAME = "compiled-"
 def compiled(function: F) -> F:
     """Compile at the first call; the machine code is kept in the package's folder, or else in the user's cache folder.
 
-    Threads may run it side by side.
+    Where neither can be written, it is compiled anew in every run, which a warning says. Threads may run it side by
+    side.
     """
     return _compile(function)
 
@@ -45,47 +49,94 @@ def inlined(function: F) -> F:
     return _compile(function, forceinline=True)
 
 
-def kept_folder(package: Path, *, otherwise: Path) -> Path:
-    """Name the folder for the machine code of a package's sources as they are now, and drop that of earlier ones.
+def kept_folder(package: Path, *, otherwise: Path | None) -> Path | None:
+    """Make the folder for the machine code of a package's sources as they are now, and drop that of earlier ones.
 
     Parameters
     ----------
     package : Path
         Folder whose modules are searched for users of this one.
-    otherwise : Path
+    otherwise : Path, optional
         Where to keep the code when the package's own folder cannot be written.
+
+    Returns
+    -------
+    Path or None
+        None where neither can be written by this user alone.
     """
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         source = path.read_bytes()
         if b"cep.compiled import" in source:
             digest.update(path.relative_to(package).as_posix().encode() + b"\0" + source)
-    parent = package / "__pycache__"
+    for parent in filter(None, (package / "__pycache__", otherwise)):
+        folder = parent / f"{_NAME}{digest.hexdigest()[:16]}"
+        if not (_is_writable(folder) and _is_own(folder) and _is_own(parent)):
+            continue
+        with suppress(OSError):
+            for old in parent.glob(f"{_NAME}*"):
+                if old != folder:
+                    shutil.rmtree(old, ignore_errors=True)
+        return folder
+    return None
+
+
+def _is_writable(folder: Path) -> bool:
+    """Whether files can be written into a folder, which is made where it is missing, for this user alone."""
     try:
-        parent.mkdir(exist_ok=True)
-        with tempfile.TemporaryFile(dir=parent):
-            pass
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
     except OSError:
-        parent = otherwise
-    folder = parent / f"{_NAME}{digest.hexdigest()[:16]}"
-    with suppress(OSError):
-        for old in parent.glob(f"{_NAME}*"):
-            if old != folder:
-                shutil.rmtree(old, ignore_errors=True)
-    return folder
+        return False
+
+
+def _is_own(folder: Path) -> bool:
+    """Whether nobody but this user and root can write into a folder."""
+    if not hasattr(os, "geteuid"):  # Windows, where folders of a user are the user's
+        return True
+    about = folder.stat()
+    return about.st_uid in (0, os.geteuid()) and not about.st_mode & 0o022
 
 
 def _compile(function: F, **more: object) -> F:
-    before = numba.config.CACHE_DIR
-    if not before:  # a folder that the user names for numba is left to numba
-        numba.config.CACHE_DIR = str(_own_folder())
+    folder, before = _cache_folder(), numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(folder or "")
     try:
-        return cast(F, njit(cache=True, **_OPTIONS, **more)(function))
+        return cast(F, njit(cache=folder is not None, **_OPTIONS, **more)(function))
     finally:
         numba.config.CACHE_DIR = before
 
 
 @cache
-def _own_folder() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return kept_folder(Path(__file__).parent, otherwise=Path(base) / "coded-exposure")
+def _cache_folder() -> Path | None:
+    """Return the folder that the user names for numba, the one of the sources, or a passing one; None without any."""
+    named = numba.config.CACHE_DIR
+    if named:
+        if _is_writable(Path(named)):
+            return Path(named)
+        return _passing_folder(named)
+    try:
+        otherwise = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coded-exposure"
+    except RuntimeError:  # this user has no home
+        otherwise = None
+    package = Path(__file__).parent
+    tried = " and ".join(map(str, filter(None, (package / "__pycache__", otherwise))))
+    return kept_folder(package, otherwise=otherwise) or _passing_folder(tried)
+
+
+def _passing_folder(tried: str) -> Path | None:
+    """Make a folder that lasts as long as this process, for those that it starts too; None where none can be made."""
+    warnings.warn(
+        f"compiled loops cannot be kept in {tried}, not writable by this user alone: they are compiled anew in every "
+        "run; NUMBA_CACHE_DIR names a folder to keep them in",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+    try:
+        folder = tempfile.mkdtemp(prefix="cep-compiled-")
+    except OSError:
+        return None
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = folder
+    return Path(folder)

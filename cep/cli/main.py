@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from io import TextIOWrapper
 from typing import Annotated, Any
@@ -119,12 +120,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return outcome if isinstance(outcome, int) else 0
 
 
+def _show_warning(message: Warning | str, *_rest: object, **_options: object) -> None:
+    """Print a warning of a library as every other, one line without the place in the sources."""
+    warn(str(message))
+
+
 def run() -> None:
     """Console entry point; being ended from outside closes a shutter as Ctrl-C does."""
     import signal
 
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # signs that its encoding lacks
+    warnings.showwarning = _show_warning
     for name in ("SIGTERM", "SIGHUP"):
         if hasattr(signal, name) and signal.getsignal(getattr(signal, name)) is signal.SIG_DFL:
             signal.signal(getattr(signal, name), signal.default_int_handler)

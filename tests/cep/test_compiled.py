@@ -1,4 +1,7 @@
 import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -19,7 +22,6 @@ def package(tmp_path):
 
 def test_the_folder_changes_with_any_compiled_source_and_the_old_one_goes(package, tmp_path):
     first = kept_folder(package, otherwise=tmp_path)
-    first.mkdir()
     (package / "other.py").write_text("something = 1\n")
     assert kept_folder(package, otherwise=tmp_path) == first
     assert first.exists()
@@ -31,6 +33,70 @@ def test_the_folder_changes_with_any_compiled_source_and_the_old_one_goes(packag
 def test_a_package_that_cannot_be_written_keeps_its_code_elsewhere(package, tmp_path):
     (package / "__pycache__").write_text("not a folder")
     assert kept_folder(package, otherwise=tmp_path / "elsewhere").parent == tmp_path / "elsewhere"
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="Windows has no such modes")
+@pytest.mark.parametrize("place", ["parent", "folder"])
+def test_code_that_others_could_have_written_is_never_loaded(package, tmp_path, place):
+    """Numba's files are unpickled, and run."""
+    otherwise = tmp_path / "elsewhere"
+    folder = kept_folder(package, otherwise=otherwise)
+    shared = folder if place == "folder" else folder.parent
+    for mode in (0o777, 0o775, 0o757):
+        shared.chmod(mode)
+        assert kept_folder(package, otherwise=otherwise).parent == otherwise
+        assert kept_folder(package, otherwise=None) is None
+    shared.chmod(0o755)
+    assert kept_folder(package, otherwise=otherwise) == folder
+
+
+def test_the_folder_is_this_users_alone(package, tmp_path):
+    umask = os.umask(0)
+    try:
+        (package / "__pycache__").mkdir(mode=0o755)
+        assert kept_folder(package, otherwise=None).stat().st_mode & 0o777 == 0o700
+    finally:
+        os.umask(umask)
+
+
+LOOP = """
+import sys
+from cep.compiled import compiled, _cache_folder
+@compiled
+def double(value):
+    return 2 * value
+assert double(1.5) == 3.0
+print(_cache_folder(), double.stats.cache_misses)
+"""
+
+
+@pytest.mark.parametrize(
+    ("settings", "kept"),
+    [({"HOME": "/proc/none"}, False), ({"NUMBA_CACHE_DIR": "/proc/none"}, False), ({"XDG_CACHE_HOME": "x"}, True)],
+)
+def test_without_a_folder_that_can_be_written(tmp_path, settings, kept):
+    """A service user: a read-only installation, which a file in the folder's place stands for, and no home."""
+    (tmp_path / "cep").mkdir()
+    (tmp_path / "temporary").mkdir()
+    (tmp_path / "cep" / "__init__.py").write_text("")
+    (tmp_path / "cep" / "__pycache__").write_text("not a folder")
+    shutil.copy(Path(cep.__file__).with_name("compiled.py"), tmp_path / "cep")
+    (tmp_path / "loop.py").write_text(LOOP)
+    without = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "XDG_"))}
+    environment = without | {"PYTHONPATH": str(tmp_path), "TMPDIR": str(tmp_path / "temporary"), **settings}
+    done = subprocess.run(
+        [sys.executable, "loop.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    folder = Path(done.stdout.split()[0])
+    if kept:
+        assert (tmp_path / folder).is_dir()
+        assert done.stderr == ""
+    else:
+        assert folder.parent == tmp_path / "temporary"
+        assert list((tmp_path / "temporary").iterdir()) == []  # it is removed
+        assert done.stderr.count("NUMBA_CACHE_DIR") == 1
+        assert f"{next(iter(settings.values()))}" in done.stderr
 
 
 @pytest.mark.skipif("NUMBA_CACHE_DIR" in os.environ, reason="numba was told another folder")
