@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -95,6 +94,8 @@ def audit(
 
     Example: cep audit proof44/proof.jsonl --blocks 8
     """
+    from functools import partial
+
     from cep.codes.sources import find_code
     from cep.io.outputs import Outputs
     from cep.proofs.audit import audit as audited
@@ -177,6 +178,7 @@ def _searched_with(stored: StoredCode, name: str) -> Camera | None:
 def _audit_proof(path: Path, blocks: int, output: Path | None, *, force: bool, seed: int, as_json: bool) -> None:
     """Check a proof in blocks; refuse one that does not hold."""
     from dataclasses import asdict
+    from functools import partial
 
     import numpy as np
 

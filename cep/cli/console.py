@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from cep.io.foreign_text import printable, terminal_line
-
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
     from rich.text import Text
@@ -103,6 +101,8 @@ def page() -> Console:
     from rich.console import Console
     from rich.text import Text
 
+    from cep.io.foreign_text import printable
+
     class Page(Console):
         def print(self, *objects: Any, **options: Any) -> None:
             lines = (Text(printable(item)) if isinstance(item, str) else item for item in objects)
@@ -184,6 +184,8 @@ def progress(task: str) -> Iterator[Tick]:
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.table import Column
 
+    from cep.io.foreign_text import terminal_line
+
     console = Console(stderr=True)
     elapsed = (TextColumn("elapsed"), TimeElapsedColumn()) if console.width >= _ROOMY else ()
     note_column = Column(no_wrap=True, overflow="ellipsis", ratio=1)
@@ -236,6 +238,8 @@ class Table:
         from rich.box import SIMPLE_HEAD
         from rich.table import Table as RichTable
         from rich.text import Text
+
+        from cep.io.foreign_text import printable
 
         texts = [[_shown_text(value) for value in row] for row in self.rows]
         shown, widths = self._fitted(texts, options.max_width)
@@ -294,6 +298,7 @@ def _shown_text(value: object) -> Text:
     """Write a cell as Rich's text."""
     from rich.text import Text
 
+    from cep.io.foreign_text import printable
     from cep.io.tables import cell_parts
 
     return Text.assemble(*((printable(text), "bold" if bold else "") for text, bold in cell_parts(value)))
@@ -314,6 +319,8 @@ def _ignore(_fraction: float, _note: str = "", /) -> None:
 
 
 def _line(text: str) -> None:
+    from cep.io.foreign_text import terminal_line
+
     print(terminal_line(text), file=sys.stderr)  # noqa: T201 - the one place that writes to people's stderr
 
 

@@ -13,7 +13,6 @@ import typer
 
 from cep.cli.console import finish
 from cep.cli.options import Force, Json
-from cep.io.foreign_text import terminal_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -49,6 +48,7 @@ def emulate(
 
     Example: cep hw emulate uno --link uno --vcd played.vcd
     """
+    from cep.io.foreign_text import terminal_line
     from cep.io.outputs import Outputs, claim
     from hw.emulation.build import EmulationError
     from hw.emulation.uno import EmulatedUno

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-import warnings
 from collections.abc import Sequence
-from io import TextIOWrapper
 from typing import Annotated, Any
 
 import typer
@@ -128,6 +126,8 @@ def _show_warning(message: Warning | str, *_rest: object, **_options: object) ->
 def run() -> None:
     """Console entry point; being ended from outside closes a shutter as Ctrl-C does."""
     import signal
+    import warnings
+    from io import TextIOWrapper
 
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # signs that its encoding lacks
