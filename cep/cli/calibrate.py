@@ -257,32 +257,30 @@ def calibrate(
             f"in this order in time with probability {found.confidence:.2f}, and then exact to "
             f"{result['path_uncertainty_px']:.2g} px"
         )
-    first = f"{found.warnings[0]}.\n" if still else _repeatability(motion.length_px, found.details)
-    finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{first}{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, {sure}; "
-        f"{found.method}, {seconds:.1f} s{_recording(gyro, found.details)}"
-    ))  # fmt: skip
+    lines = [f"{found.warnings[0]}."] if still else _repeatability(motion.length_px, found.details)
+    lines.append(
+        f"{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, {sure}; "
+        f"{found.method}, {seconds:.1f} s"
+    )
+    if gyro is not None:
+        lines.append(f"{gyro}: {found.details['columns']}; axes: {found.details['axes']}")
+    finish(result, as_json=as_json, show=lambda console: console.print(*lines, sep="\n"))
 
 
-def _recording(gyro: Path | None, details: Mapping[str, Any]) -> str:
-    """Say which columns, units and axes of a recording were read; nothing of other methods."""
-    return "" if gyro is None else f"\n{gyro}: {details['columns']}; axes: {details['axes']}"
-
-
-def _repeatability(length_px: float, details: Mapping[str, Any]) -> str:
+def _repeatability(length_px: float, details: Mapping[str, Any]) -> list[str]:
     """Say how alike several photos of one motion show it; nothing of one photo."""
     if "seen_in" not in details:
-        return ""
+        return []
     seen, photos = details["seen_in"], details["photos"]
     if seen < 2:
         alone = f"no two of {photos} photos alone show it alike"
-        return f"One motion of {length_px:.0f} px; {alone}: whether it repeats is not known.\n"
+        return [f"One motion of {length_px:.0f} px; {alone}: whether it repeats is not known."]
     squares = sum(distance**2 for distance in details["repeatability_px"] if distance is not None)
     apart_px = (squares / (seen - 1)) ** 0.5  # one of the paths may be the one that they are compared with
-    return (
+    return [
         f"One motion of {length_px:.0f} px, seen alike in {seen} of {photos} photos: their paths differ by "
-        f"{apart_px:.2g} px.\n"
-    )
+        f"{apart_px:.2g} px."
+    ]
 
 
 _COLUMNS = {

@@ -218,4 +218,5 @@ def _finish_alone(
             f"; residual {sharpened.residual:.3g} of full scale, the outer {sharpened.unreliable_px} px lean on a guess"
         )
     )
-    finish(result, as_json=as_json, show=lambda console: console.print(f"{sharpened.summary}.\n{target}{figures}"))
+    lines = (f"{sharpened.summary}.", f"{target}{figures}")
+    finish(result, as_json=as_json, show=lambda console: console.print(*lines, sep="\n"))

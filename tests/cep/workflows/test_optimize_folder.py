@@ -81,7 +81,8 @@ def test_motions_that_fail_are_told_by_name_and_the_others_kept(cep, motions):
     assert list(failures) == ["b[1]", "c"]
     assert failures["b[1]"].startswith("not a JSON file")
     assert failures["c"].startswith("--chips: 12 chips are too many for a path of 2.0 px")
-    assert {row["motion"]: row["failure"] for row in rows_of("codes/codes.csv") if row["failure"]} == failures
+    in_table = {row["motion"]: row["failure"] for row in rows_of("codes/codes.csv") if row["failure"]}
+    assert in_table == failures | {"c": f"'{failures['c']}"}  # a spreadsheet takes "--chips" for a formula
     assert sorted(path.name for path in Path("codes").iterdir()) == ["a", "cells", "codes.csv"]
 
 
