@@ -143,10 +143,14 @@ def advise(
         **advice.to_dict(), "codes": [way.to_dict() for way in judged], "other_chips_db": gains, "plot": output,
         "seed": seed, "warnings": warnings,
     }  # fmt: skip
+
+    def draw(made: Mapping[Path, Path]) -> None:
+        if output is not None:
+            save(advice_figure(advice), made[output])
+
     finish(
         result, as_json=as_json, show=lambda console: _show(console, advice, judged, gains, output), outputs=outputs,
-        save=lambda made: output and save(advice_figure(advice), made[output]), tables=tables,
-        found=advice.here.sentence,
+        save=draw, tables=tables, found=advice.here.sentence,
     )  # fmt: skip
 
 
