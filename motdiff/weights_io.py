@@ -120,7 +120,7 @@ def filled(network: _Network, path: Path | str, *, schema: str) -> _Network:
 
     read_card(path, schema)
     try:
-        network.load_state_dict(read_tensors(path))
+        network.load_state_dict(read_tensors(path), assign=True)
     except RuntimeError as error:
         raise ValueError(f"{path}: its tensors do not fit the network") from error
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

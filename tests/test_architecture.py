@@ -35,6 +35,20 @@ LISTED = {"torch", "numba"}
 NEVER = {"torchvision", "matplotlib.pyplot", "pylab"}
 """pyplot keeps global state; torchvision is no dependency."""
 
+UNPICKLING = {
+    "pickle",
+    "cloudpickle",
+    "dill",
+    "shelve",
+    "marshal",
+    "joblib.load",
+    "joblib.Memory",
+    "torch.load",
+    "yaml",
+}
+RUNNING = {"eval", "exec", "torch.load", "torch.export.load", "torch.jit.load", "torch.package.PackageImporter"}
+UNSAFE_OPTIONS = {("allow_pickle", "True"), ("weights_only", "False")}
+
 COMMANDS = "cep/cli/"
 LIGHT = "cep.workflows.search_options"  # imports what it needs within its functions
 COMMANDS_MAY_IMPORT = {
@@ -197,6 +211,18 @@ def some_libraries_are_never_imported(modules):
             yield f"{module.path}: imports {name}"
 
 
+def no_file_runs_code(modules):
+    """A pickle, however it is loaded, runs code of whoever wrote the file; so does text that is evaluated."""
+    for module in modules:
+        for name in sorted(name for name in module.imports if within(name, UNPICKLING)):
+            yield f"{module.path}: imports {name}, which runs code that files hold"
+        for node in ast.walk(module.tree):
+            if isinstance(node, ast.Call) and (call := ast.unparse(node.func)) in RUNNING:
+                yield f"{module.path}:{node.lineno}: {call} runs code that files hold"
+            if isinstance(node, ast.keyword) and (node.arg, ast.unparse(node.value)) in UNSAFE_OPTIONS:
+                yield f"{module.path}:{node.value.lineno}: {node.arg} runs code that files hold"
+
+
 def commands_start_light(modules):
     for module in modules:
         if not module.path.startswith(COMMANDS):
@@ -259,6 +285,7 @@ RULES = {
         listed_modules_need_their_listing,
         one_module_wraps_numba,
         some_libraries_are_never_imported,
+        no_file_runs_code,
         commands_start_light,
         public_modules_have_docstrings,
         public_modules_list_what_they_offer,
@@ -326,6 +353,13 @@ MADE_UP = {  # a file called bad breaks the rule, a file called good keeps it
         "cep/bad2.py": "def f():\n    from matplotlib import pyplot\n",
         "cep/bad3.py": "import torchvision.ops\n",
         "cep/good.py": "def f():\n    import matplotlib.figure\n",
+    },
+    "no_file_runs_code": {
+        "cep/bad1.py": "from pickle import loads\n",
+        "motdiff/bad2.py": "import torch\ndef f(x):\n    return torch.export.load(x)\n",
+        "cep/bad3.py": "import numpy as np\ndef f(x):\n    return np.load(x, allow_pickle=True)\n",
+        "hw/bad4.py": "def f(x):\n    return eval(x)\n",
+        "cep/good.py": "import numpy as np\ndef f(x, network):\n    network.eval()\n    return np.load(x)\n",
     },
     "commands_start_light": {
         f"{COMMANDS}bad1.py": "import numpy\n",

@@ -1,8 +1,12 @@
 """Damaged files, and files that are none, through every reader: accepted, or refused in one clear line, at once."""
 
+import pickle
 import random
+from io import BytesIO
 
+import numpy as np
 import pytest
+import torch
 from fuzz_readers import ACCEPTED, GOOD, READERS, REFUSED, mutated, outcome
 from named_pipes import empty_pipe
 
@@ -40,3 +44,38 @@ def test_a_pipe_is_refused_without_waiting_for_it(tmp_path, reader):
         kind, text = outcome(READERS[reader], path)
     assert kind == REFUSED, text
     assert "regular file" in text
+
+
+class Trap:
+    """Loading its pickle makes a file."""
+
+    def __init__(self, mark):
+        self.mark = mark
+
+    def __reduce__(self):
+        return open, (str(self.mark), "w")
+
+
+def pickles(mark):
+    """Pickles of a :class:`Trap` as they come: bare, by torch, and as arrays of objects."""
+    trap = np.array([[Trap(mark)]], dtype=object)
+    checkpoint, array, arrays = BytesIO(), BytesIO(), BytesIO()
+    torch.save(Trap(mark), checkpoint)
+    np.save(array, trap, allow_pickle=True)
+    np.savez(arrays, psf=trap, blurred=trap)
+    wrapped = {"torch": checkpoint, "npy": array, "npz": arrays}
+    return {
+        "text": pickle.dumps(Trap(mark), protocol=0),
+        "binary": pickle.dumps(Trap(mark)),
+        **{name: stream.getvalue() for name, stream in wrapped.items()},
+    }
+
+
+def test_a_pickle_is_refused_and_never_loaded(tmp_path, reader):
+    mark = tmp_path / "mark"
+    path = tmp_path / f"pickle{READERS[reader].suffix}"
+    for name, data in pickles(mark).items():
+        path.write_bytes(data)
+        kind, text = outcome(READERS[reader], path)
+        assert (name, kind) == (name, REFUSED), text
+        assert not mark.exists(), name

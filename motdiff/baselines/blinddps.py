@@ -1,22 +1,24 @@
 """BlindDPS with weights of the user: photo and kernel sampled jointly from two diffusion priors.
 
-Nothing here ships a diffusion prior of photos. A folder of weights holds two programs of ``torch.export.save``:
+Nothing here ships a diffusion prior of photos. A folder of weights holds two files of :func:`write_prior`:
 
-========== ======================== ========================================================================
-image.pt2  (1, C, S, S), C = 1 or 3  photos as 2 v - 1 of their display values v (sRGB), such as FFHQ's at S = 256
-kernel.pt2 (1, 1, K, K), K < S       kernels as 2 k / max(k) - 1
-========== ======================== ========================================================================
+================== ============================ ====================================================================
+image.safetensors  (1, C, S, S), C = 1 or 3     photos as 2 v - 1 of their display values v (sRGB), such as FFHQ's
+kernel.safetensors (1, 1, K, K), K < S          kernels as 2 k / max(k) - 1
+================== ============================ ====================================================================
 
 Each is a network ``eps(x, t)`` that predicts the noise in ``x`` (float32) at timestep ``t`` ((1,) int64, 0..999) of the
-linear schedule of :func:`linear_alpha_bar`; further output channels, such as a learned variance, are ignored. They run
-on the device that they were exported on, and as they were then: switch to ``eval()`` first.
+linear schedule of :func:`linear_alpha_bar`; further output channels, such as a learned variance, are ignored. The
+authors' checkpoints are turned into such files once (:func:`write_prior` has the example). Programs and pickles are
+not read: both run code of whoever wrote them. A network of another kind goes into ``BlindDpsEstimator`` as a
+:class:`Prior`, in a module of one's own that ``module:name`` names.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,13 +26,18 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from motdiff.baselines.adm_unet import AdmConfig, AdmUNet
 from motdiff.crops import luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.from_kernel import estimate_from_kernel
+from motdiff.io.inputs import one_line
 from motdiff.training.simulation import blurred
+from motdiff.weights_io import filled, read_card, write_with_card
 
-__all__ = ["BlindDpsEstimator", "Prior", "linear_alpha_bar", "sample_jointly"]
+__all__ = ["BlindDpsEstimator", "Prior", "linear_alpha_bar", "load_priors", "sample_jointly", "write_prior"]
 
+_SCHEMA = "motdiff.prior/1"
+_IMAGE, _KERNEL = "image.safetensors", "kernel.safetensors"
 _SRGB_KNEE = 0.0031308 * 12.92
 
 
@@ -57,8 +64,8 @@ class BlindDpsEstimator:
 
     Parameters
     ----------
-    weights : path, optional
-        Folder as the module describes; without it :meth:`estimate` raises an error.
+    priors : pair of Prior, optional
+        Of the photo and of the kernel, see :func:`load_priors`; without them :meth:`estimate` raises an error.
     strength : float
         Of the pull towards the blurred photo, times the square root of ``alpha_bar``.
     seed : int
@@ -68,10 +75,8 @@ class BlindDpsEstimator:
 
     Raises
     ------
-    FileNotFoundError
-        If a program is missing in the folder.
     ValueError
-        If a program is something else, or their sizes do not fit.
+        If the priors' shapes or devices do not belong together.
 
     References
     ----------
@@ -80,7 +85,7 @@ class BlindDpsEstimator:
 
     def __init__(
         self,
-        weights: Path | str | None = None,
+        priors: tuple[Prior, Prior] | None = None,
         *,
         strength: float = 1.0,
         seed: int = 0,
@@ -89,7 +94,9 @@ class BlindDpsEstimator:
         if not (math.isfinite(strength) and strength >= 0):
             raise ValueError(f"strength: must be a number of at least 0, got {strength}")
         self._strength, self._seed, self._progress = strength, seed, progress
-        self._priors = None if weights is None else _load_priors(Path(weights))
+        if priors is not None:
+            _check_pair(*priors)
+        self._priors = priors
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Draw the kernel of ``photo``, (H, W) or (H, W, 3), linear light 0..1, in its best crop of S - K + 1 px.
@@ -102,7 +109,7 @@ class BlindDpsEstimator:
             If there are no weights, or the photo is smaller than the crop, not finite, or without texture.
         """
         if self._priors is None:
-            raise ValueError("needs weights: a folder with image.pt2 and kernel.pt2, see motdiff.baselines.blinddps")
+            raise ValueError(f"needs weights: a folder with {_IMAGE} and {_KERNEL}, see motdiff.baselines.blinddps")
         image, kernel = self._priors
         channels, size = image.shape[1], image.shape[-1] - kernel.shape[-1] + 1
         window = torch.from_numpy(_window(photo, size, channels).astype(np.float32)).to(image.device)
@@ -120,6 +127,58 @@ class BlindDpsEstimator:
         )
         details = {"misfit": float(residual(*drawn).square().mean().sqrt()) / 2, "crop_px": size}
         return estimate_from_kernel("blinddps", _kernel_of(drawn[1]).double().cpu().numpy(), details)
+
+
+def load_priors(folder: Path | str, *, device: torch.device | str = "cpu") -> tuple[Prior, Prior]:
+    """Load the priors of the photo and of the kernel from ``image.safetensors`` and ``kernel.safetensors``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a file is missing in the folder.
+    ValueError
+        If a file is not one of :func:`write_prior`, or the two do not belong together.
+    """
+    image, kernel = (_load_prior(Path(folder) / name, torch.device(device)) for name in (_IMAGE, _KERNEL))
+    try:
+        _check_pair(image, kernel)
+    except ValueError as error:
+        raise ValueError(f"{folder}: {error}") from None
+    return image, kernel
+
+
+def write_prior(state: Mapping[str, Tensor], target: Path | str, config: AdmConfig) -> int:
+    """Write the weights of a prior with the size of its network in the header; returns the bytes.
+
+    Parameters
+    ----------
+    state : mapping of tensors
+        Of an :class:`motdiff.baselines.adm_unet.AdmUNet`, whose names are those of guided-diffusion.
+    target : .safetensors file to write
+    config : AdmConfig
+
+    Raises
+    ------
+    ValueError
+        If the tensors do not fit the network, or float16 cannot hold them.
+
+    Examples
+    --------
+    The authors' checkpoints become a folder of weights once and for all::
+
+        for source, name, config in (
+            ("ffhq_10m.pt", "image", AdmConfig(256, 3, 128, (1, 1, 2, 2, 4, 4))),
+            ("kernel_checkpoint.pt", "kernel", AdmConfig(64, 1, 64, (1, 2, 3, 4))),
+        ):
+            write_prior(torch.load(source, weights_only=True), f"priors/{name}.safetensors", config)
+    """
+    with torch.device("meta"):
+        network = AdmUNet(config)
+    try:
+        network.load_state_dict(dict(state), assign=True)
+    except RuntimeError as error:
+        raise ValueError(f"{target}: these tensors do not fit a network of {config}") from error
+    return write_with_card(state, target, schema=_SCHEMA, card=asdict(config), source=target)
 
 
 def linear_alpha_bar() -> tuple[float, ...]:
@@ -201,33 +260,33 @@ def _guess(prior: Prior, noisy: Tensor, t: int, alpha_bar: float) -> Tensor:
     return ((noisy - math.sqrt(1 - alpha_bar) * eps) / math.sqrt(alpha_bar)).clamp(-1, 1)
 
 
-def _load_priors(folder: Path) -> tuple[Prior, Prior]:
-    image, kernel = (_load_prior(folder / name) for name in ("image.pt2", "kernel.pt2"))
+def _check_pair(image: Prior, kernel: Prior) -> None:
+    for name, prior in (("image", image), ("kernel", kernel)):
+        shape = prior.shape
+        if len(shape) != 4 or shape[0] != 1 or shape[2] != shape[3]:
+            raise ValueError(f"{name} prior: must be eps(x, t) of x in a fixed shape (1, C, S, S), got {shape}")
     if image.shape[1] not in (1, 3) or kernel.shape[1] != 1 or kernel.shape[-1] >= image.shape[-1]:
         raise ValueError(
-            f"{folder}: needs an image prior of 1 or 3 channels and a smaller kernel prior of 1, "
-            f"found {image.shape} and {kernel.shape}"
+            f"priors: need an image prior of 1 or 3 channels and a smaller kernel prior of 1, "
+            f"got {image.shape} and {kernel.shape}"
         )
     if image.device != kernel.device:
-        raise ValueError(f"{folder}: both programs must run on one device, found {image.device} and {kernel.device}")
-    return image, kernel
+        raise ValueError(f"priors: must both be on one device, got {image.device} and {kernel.device}")
 
 
-def _load_prior(file: Path) -> Prior:
+def _load_prior(file: Path, device: torch.device) -> Prior:
     if not file.is_file():
-        raise FileNotFoundError(f"{file}: no such file; BlindDPS needs image.pt2 and kernel.pt2 in this folder")
+        raise FileNotFoundError(f"{file}: no such file; BlindDPS needs {_IMAGE} and {_KERNEL} in this folder")
+    card = read_card(file, _SCHEMA)
     try:
-        program = torch.export.load(file)
-    except Exception as error:  # torch's reader and unpickler raise exceptions of many types
-        reason = str(error).split("\n")[0]
-        raise ValueError(f"{file}: is no program of torch.export.save ({reason})") from error
-    inputs = program.graph_signature.user_inputs
-    nodes = {node.name: node for node in program.graph.nodes if node.op == "placeholder"}
-    signal = nodes[str(inputs[0])].meta["val"] if len(inputs) == 2 else torch.empty(0)
-    shape = tuple(signal.shape)
-    if len(shape) != 4 or not all(isinstance(n, int) for n in shape) or shape[0] != 1 or shape[2] != shape[3]:
-        raise ValueError(f"{file}: must be eps(x, t) of x in a fixed shape (1, C, S, S), found {shape}")
-    return Prior(program.module(), shape, signal.device)
+        config = AdmConfig(**card)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{file}: its header describes no network ({one_line(error)})") from None
+    with torch.device("meta"):  # the header may ask for more memory than the file's tensors have
+        network = AdmUNet(config)
+    return Prior(
+        filled(network, file, schema=_SCHEMA).to(device), (1, config.channels, config.size, config.size), device
+    )
 
 
 def _window(photo: ArrayLike, size: int, channels: int) -> NDArray[np.float64]:

@@ -157,9 +157,9 @@ def _named(method: str) -> Estimator:
         case "selfdeblur":
             return _selfdeblur(option)
         case "blinddps":
-            from motdiff.baselines.blinddps import BlindDpsEstimator
+            from motdiff.baselines.blinddps import BlindDpsEstimator, load_priors
 
-            return BlindDpsEstimator(option or None)
+            return BlindDpsEstimator(load_priors(option) if option else None)
         case "psf-diffusion":
             return _psf_diffusion(option)
     return _of_network(name, weights)

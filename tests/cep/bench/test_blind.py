@@ -423,12 +423,12 @@ def test_the_weights_of_the_correction_count_for_what_reads_them(monkeypatch, tm
 
 def test_a_folder_of_weights_counts_by_its_content_and_is_named_without_its_place(tmp_path):
     (tmp_path / "priors").mkdir()
-    (tmp_path / "priors" / "image.pt2").write_bytes(b"1")
+    (tmp_path / "priors" / "image.safetensors").write_bytes(b"1")
     method = f"blinddps:{tmp_path / 'priors'}"
     assert label_of(method) == "blinddps:priors"
     assert label_of("network:ddpm:50") == "network:ddpm:50"
     first = version_of(method)
-    (tmp_path / "priors" / "image.pt2").write_bytes(b"2")
+    (tmp_path / "priors" / "image.safetensors").write_bytes(b"2")
     assert version_of(method) != first
 
 

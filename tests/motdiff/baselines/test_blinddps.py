@@ -1,10 +1,23 @@
 """BlindDPS with Gaussian priors, whose scores are known exactly, and the folder of weights that it runs from."""
 
+import json
+import pickle
+import zipfile
+
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
-from motdiff.baselines.blinddps import BlindDpsEstimator, Prior, linear_alpha_bar, sample_jointly
+from motdiff.baselines.adm_unet import AdmConfig, AdmUNet
+from motdiff.baselines.blinddps import (
+    BlindDpsEstimator,
+    Prior,
+    linear_alpha_bar,
+    load_priors,
+    sample_jointly,
+    write_prior,
+)
 from motdiff.evaluation.measure import measure_estimator
 from motdiff.evaluation.methods import named_estimators
 from motdiff.evaluation.sets import Case
@@ -96,7 +109,7 @@ def test_every_step_is_the_closed_form():
         np.testing.assert_allclose(mine.numpy(), expected, atol=2e-6)
 
 
-# ---- from a folder of weights
+# ---- from a pair of priors
 
 
 def dead_leaves(side, seed):
@@ -110,38 +123,25 @@ def dead_leaves(side, seed):
     return image
 
 
-def export(file, network, shape):
-    given = (torch.zeros(shape), torch.zeros(1, dtype=torch.int64))
-    torch.export.save(torch.export.export(network, given), file)
-
-
-def write_weights(folder, sharp, *, more_channels=0):
-    """Write priors of one photo's neighbourhood and of kernels that are bright in the middle."""
+def gaussian_priors(sharp, *, more_channels=0):
+    """Priors of one photo's neighbourhood and of kernels that are bright in the middle, and that middle."""
     channels = 1 if sharp.ndim == 2 else sharp.shape[2]
     image = 2 * np.moveaxis(to_display(sharp).reshape(*sharp.shape[:2], channels), 2, 0)[None] - 1
     y, x = np.mgrid[:9, :9] - 4
     middle = np.exp(-(x**2 + y**2) / 8)
-    folder.mkdir()
-    export(folder / "image.pt2", GaussianEps(image, 1e-4, more_channels=more_channels), image.shape)
-    export(folder / "kernel.pt2", GaussianEps(0.6 * middle - 1, 0.3 * middle + 1e-3), (1, 1, 9, 9))
-    return middle
+    photos = Prior(GaussianEps(image, 1e-4, more_channels=more_channels), image.shape, CPU)
+    return (photos, prior(0.6 * middle - 1, 0.3 * middle + 1e-3, (1, 1, 9, 9))), middle
 
 
 SHARP = dead_leaves(40, 1)
 PHOTO = blur_valid(SHARP, PSF)
 
 
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("blinddps") / "weights"
-    return folder, write_weights(folder, SHARP)
-
-
 @pytest.mark.slow(reason="two thousand steps of diffusion")
-def test_finds_the_kernel_that_the_prior_does_not_know(weights):
-    folder, middle = weights
+def test_finds_the_kernel_that_the_prior_does_not_know():
+    priors, middle = gaussian_priors(SHARP)
     seen = []
-    estimate = BlindDpsEstimator(folder, strength=0.3, progress=seen.append).estimate(PHOTO)
+    estimate = BlindDpsEstimator(priors, strength=0.3, progress=seen.append).estimate(PHOTO)
     assert mnc_subpixel(estimate.psf, PSF) > max(0.9, mnc_subpixel(middle, PSF) + 0.3)
     assert mnc_subpixel(estimate.psf, PSF) > mnc_subpixel(estimate.psf, PSF[::-1, ::-1]) + 0.02
     assert (estimate.method, estimate.confidence, estimate.psf.shape) == ("blinddps", 0.0, (64, 64))
@@ -150,56 +150,41 @@ def test_finds_the_kernel_that_the_prior_does_not_know(weights):
     assert len(seen) == 1000
     assert seen == sorted(seen)
     assert seen[-1] == 1
-    untold = BlindDpsEstimator(folder, strength=0.0).estimate(PHOTO)
+    untold = BlindDpsEstimator(priors, strength=0.0).estimate(PHOTO)
     assert untold.details["misfit"] > 2 * estimate.details["misfit"]
 
 
-def test_colour_priors_and_learned_variances_are_taken(tmp_path, weights, monkeypatch):
+def test_colour_priors_and_learned_variances_are_taken(monkeypatch):
     monkeypatch.setattr("motdiff.baselines.blinddps.linear_alpha_bar", lambda: tuple(ALPHA_BAR[:50]))
     colour = np.stack([SHARP, 0.5 * SHARP, SHARP**2], axis=2)
-    write_weights(tmp_path / "plain", colour)
-    write_weights(tmp_path / "learned", colour, more_channels=1)
     photo = blur_valid(colour, PSF)
-    plain, learned = (BlindDpsEstimator(tmp_path / name).estimate(photo) for name in ("plain", "learned"))
+    priors = [gaussian_priors(colour, more_channels=count)[0] for count in (0, 1)]
+    plain, learned = (BlindDpsEstimator(pair).estimate(photo) for pair in priors)
     np.testing.assert_array_equal(plain.psf, learned.psf)
-    grey = BlindDpsEstimator(tmp_path / "plain").estimate(photo.mean(axis=2))
+    grey = BlindDpsEstimator(priors[0]).estimate(photo.mean(axis=2))
     assert grey.details["misfit"] > plain.details["misfit"]
-    assert BlindDpsEstimator(weights[0]).estimate(photo).details["crop_px"] == 32  # its luminance
+    assert BlindDpsEstimator(gaussian_priors(SHARP)[0]).estimate(photo).details["crop_px"] == 32  # its luminance
 
 
 def test_without_weights_its_row_says_so():
     (method,) = named_estimators(["blinddps"]).values()
-    with pytest.raises(ValueError, match=r"^needs weights: a folder with image\.pt2 and kernel\.pt2, see motdiff"):
+    with pytest.raises(ValueError, match=r"^needs weights: a folder with image\.safetensors and kernel\.safetensors"):
         measure_estimator(Case(PHOTO, PSF), method, restore=False)
 
 
-def test_the_name_takes_a_folder(weights):
-    name = f"blinddps:{weights[0]}"
-    assert isinstance(named_estimators([name])[name], BlindDpsEstimator)
-    with pytest.raises(
-        FileNotFoundError, match=r"nowhere/image.pt2: no such file; BlindDPS needs image.pt2 and kernel"
-    ):
-        named_estimators(["blinddps:nowhere"])
-
-
-def test_unusable_weights_are_refused(tmp_path):
-    write_weights(tmp_path / "weights", SHARP)
-    folder = tmp_path / "weights"
-    whole = {name: (folder / name).read_bytes() for name in ("image.pt2", "kernel.pt2")}
-
-    def refused(words):
-        with pytest.raises(ValueError, match=words) as caught:
-            BlindDpsEstimator(folder)
-        assert "\n" not in str(caught.value)
-
-    (folder / "image.pt2").write_bytes(b"no program")
-    refused(r"image.pt2: is no program of torch.export.save \(")
-    (folder / "image.pt2").write_bytes(whole["kernel.pt2"])
-    refused(r"weights: needs an image prior of 1 or 3 channels and a smaller kernel prior of 1, found \(1, 1, 9, 9\)")
-    export(folder / "image.pt2", GaussianEps(0, 1), (1, 1, 20, 24))
-    refused(r"image.pt2: must be eps\(x, t\) of x in a fixed shape \(1, C, S, S\), found \(1, 1, 20, 24\)")
-    torch.export.save(torch.export.export(torch.nn.ReLU(), (torch.zeros(1, 1, 20, 20),)), folder / "image.pt2")
-    refused(r"image.pt2: must be eps\(x, t\)")
+@pytest.mark.parametrize(
+    ("shapes", "words"),
+    [
+        (((1, 1, 20, 24), (1, 1, 9, 9)), r"image prior: must be eps\(x, t\) of x in a fixed shape \(1, C, S, S\)"),
+        (
+            ((1, 1, 9, 9), (1, 1, 9, 9)),
+            "priors: need an image prior of 1 or 3 channels and a smaller kernel prior of 1",
+        ),
+    ],
+)
+def test_priors_that_do_not_belong_together_are_refused(shapes, words):
+    with pytest.raises(ValueError, match=f"^{words}"):
+        BlindDpsEstimator(tuple(prior(0, 1, shape) for shape in shapes))
     with pytest.raises(ValueError, match="strength: must be a number of at least 0, got nan"):
         BlindDpsEstimator(strength=float("nan"))
 
@@ -212,6 +197,102 @@ def test_unusable_weights_are_refused(tmp_path):
         (np.full((100, 100), np.nan), "photo: must be finite, found NaN or infinity"),
     ],
 )
-def test_unusable_photos_are_refused_in_one_line(weights, photo, words):
+def test_unusable_photos_are_refused_in_one_line(photo, words):
     with pytest.raises(ValueError, match=f"^{words}$"):
-        BlindDpsEstimator(weights[0]).estimate(photo)
+        BlindDpsEstimator(gaussian_priors(SHARP)[0]).estimate(photo)
+
+
+# ---- from a folder of weights
+
+IMAGE = AdmConfig(size=32, channels=3, width=32, multipliers=(1, 2), attention=(16,))
+KERNEL = AdmConfig(size=8, channels=1, width=32, multipliers=(2,), attention=(), learned_variance=False)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    folder = tmp_path / "weights"
+    folder.mkdir()
+    torch.manual_seed(0)
+    for name, config in (("image", IMAGE), ("kernel", KERNEL)):
+        write_prior(AdmUNet(config).state_dict(), folder / f"{name}.safetensors", config)
+    return folder
+
+
+def test_the_name_takes_a_folder(folder, monkeypatch):
+    monkeypatch.setattr("motdiff.baselines.blinddps.linear_alpha_bar", lambda: tuple(ALPHA_BAR[:3]))
+    name = f"blinddps:{folder}"
+    estimate = named_estimators([name])[name].estimate(PHOTO)
+    assert estimate.details["crop_px"] == 32 - 8 + 1
+    with pytest.raises(FileNotFoundError, match=r"nowhere/image.safetensors: no such file; BlindDPS needs"):
+        named_estimators(["blinddps:nowhere"])
+
+
+def test_weights_come_back_as_they_were_written(folder):
+    torch.manual_seed(0)
+    network = AdmUNet(IMAGE).eval()
+    loaded, _ = load_priors(folder)
+    x = torch.randn(loaded.shape)
+    t = torch.tensor([321])
+    with torch.no_grad():
+        torch.testing.assert_close(loaded.eps(x, t), network(x, t), atol=5e-3, rtol=5e-3)  # float16
+    assert loaded.shape == (1, 3, 32, 32)
+    assert loaded.eps(x, t).shape == (1, 6, 32, 32)
+
+
+def test_unusable_weights_are_refused(folder):
+    image = folder / "image.safetensors"
+    state = AdmUNet(IMAGE).state_dict()
+
+    def refused(words):
+        with pytest.raises(ValueError, match=words) as caught:
+            load_priors(folder)
+        assert "\n" not in str(caught.value)
+
+    image.write_bytes(b"no weights")
+    refused("image.safetensors: cannot be read as weights")
+    image.write_bytes((folder / "kernel.safetensors").read_bytes())
+    refused("weights: priors: need an image prior of 1 or 3 channels and a smaller kernel prior of 1")
+    card = {"size": 32, "channels": 3, "width": 32, "multipliers": [1, 2]}
+    for wrong, words in (
+        ({**card, "blocks": 3}, "its tensors do not fit the network"),
+        ({**card, "blocks": 10**9}, r"its header describes no network \(blocks: must be a whole number within 1..8"),
+        ({**card, "width": 4096, "multipliers": [1, 1]}, "its tensors do not fit the network"),
+        ({**card, "width": "32"}, "its header describes no network"),
+        ({**card, "multipliers": [1] * 9}, "its header describes no network"),
+        ({**card, "program": "os.system"}, "its header describes no network"),
+        ([1], "its header describes no network"),
+    ):
+        save_file(state, image, {"motdiff.prior/1": json.dumps(wrong)})
+        refused(f"image.safetensors: {words}")
+
+
+class Trap:
+    """A pickle of this writes a file when it is loaded."""
+
+    def __init__(self, mark):
+        self.mark = mark
+
+    def __reduce__(self):
+        return (open, (str(self.mark), "w"))
+
+
+@pytest.mark.parametrize("name", ["image.pt2", "image.pt", "image.safetensors"])
+def test_no_file_of_weights_is_unpickled(tmp_path, folder, name):
+    """A program of torch.export, a checkpoint of torch.save and a bare pickle, each under each name."""
+    mark = tmp_path / "mark"
+    network = torch.nn.ReLU()
+    program = torch.export.export(network, (torch.zeros(1, 1, 4, 4),))
+    torch.export.save(program, tmp_path / "program.pt2")
+    torch.save(Trap(mark), tmp_path / "checkpoint.pt")
+    with zipfile.ZipFile(tmp_path / "program.pt2") as whole, zipfile.ZipFile(tmp_path / "bad.pt2", "w") as bad:
+        for member in whole.namelist():
+            harmful = "sample_inputs" in member
+            bad.writestr(member, (tmp_path / "checkpoint.pt").read_bytes() if harmful else whole.read(member))
+    (tmp_path / "bare").write_bytes(pickle.dumps(Trap(mark)))
+    if name != "image.safetensors":
+        (folder / "image.safetensors").unlink()
+    for harmful in ("bad.pt2", "checkpoint.pt", "bare"):
+        (folder / name).write_bytes((tmp_path / harmful).read_bytes())
+        with pytest.raises((ValueError, FileNotFoundError), match=r"image\.safetensors"):
+            named_estimators([f"blinddps:{folder}"])
+    assert not mark.exists()
