@@ -15,6 +15,24 @@ _MARKS = {
     codecs.BOM_UTF16_BE: "utf-16-be",
 }
 _BINARY = re.compile(r"[\0-\x08\x0e-\x1a\x1c-\x1f]")
+_MOST_BYTES = 32 * 2**20
+
+
+def content(path: str | Path, *, most_bytes: int = _MOST_BYTES) -> bytes:
+    """Read a regular file that is not too large for its kind.
+
+    Raises
+    ------
+    ValueError
+        If it is no regular file, or has more than ``most_bytes``; the line does not name the file.
+    OSError
+        If it cannot be read.
+    """
+    with regular_file(path).open("rb") as stream:
+        data = stream.read(most_bytes + 1)
+    if len(data) > most_bytes:
+        raise ValueError(f"it is too large, a file of this kind has at most {most_bytes >> 20} MiB")
+    return data
 
 
 def decoded(data: bytes) -> str:

@@ -11,12 +11,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from hw._files import regular_file
+from hw._files import content
 from hw.program import Program
 
 __all__ = ["DeviceProfile", "load_profile", "parse_profile", "profile_names", "refusal"]
 
 _SCHEMA = "hw.device/1"
+_PROFILE_BYTES = 2**20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,7 +225,7 @@ def load_profile(name: str | Path) -> DeviceProfile:
         text = (resources.files("hw") / "profiles" / f"{text_name}.toml").read_text(encoding="utf-8")
         return parse_profile(text, source=text_name)
     try:
-        text = regular_file(name).read_text(encoding="utf-8-sig")  # Windows editors write a mark first
+        text = content(name, most_bytes=_PROFILE_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError:
         text = "\0"
     except (OSError, ValueError) as error:

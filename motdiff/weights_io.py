@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from safetensors import SafetensorError, safe_open
 
-from motdiff.io.inputs import one_line, regular_file
+from motdiff.io.inputs import JSON_BYTES, one_line, regular_file
 from motdiff.io.outputs import write_bytes
 
 if TYPE_CHECKING:
@@ -29,7 +29,11 @@ def read_header(path: Path | str) -> dict[str, str]:
         If it cannot be read.
     """
     try:
-        with safe_open(str(regular_file(path)), framework="np") as file:
+        with regular_file(path).open("rb") as stream:
+            header_bytes = int.from_bytes(stream.read(8), "little")
+        if header_bytes > JSON_BYTES:
+            raise SafetensorError(f"its header has more than {JSON_BYTES >> 20} MiB")
+        with safe_open(str(path), framework="np") as file:
             return dict(file.metadata() or {})
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path}: cannot be read as weights: {one_line(error)}") from error

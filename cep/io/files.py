@@ -38,6 +38,7 @@ __all__ = [
     "read_code",
     "read_json",
     "read_psf",
+    "stated_schema",
     "stored_device",
     "write_code",
     "write_psf",
@@ -153,6 +154,22 @@ def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:
     if (wrong := fault(document, load_schema("cep.io", name))) is not None:
         raise ValueError(f"{path}: {wrong}")
     return document
+
+
+def stated_schema(path: Path | str) -> str | None:
+    """Return the schema that a JSON file states; None where it states none, or is no JSON file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    try:
+        document = inputs.read_json(path)
+    except ValueError:
+        return None
+    found = document.get("schema") if isinstance(document, dict) else None
+    return found if isinstance(found, str) else None
 
 
 def _versioned(path: Path | str, schema: str) -> dict[str, Any]:

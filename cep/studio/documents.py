@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import cep
-from cep.io.files import StoredCode, json_text, read_code, read_json, stored_device
+from cep.io.files import StoredCode, json_text, read_code, read_json, stated_schema, stored_device
 from cep.io.formatting import seconds_of
 from cep.io.outputs import claim_folder, new_folder
 from cep.studio.fields import FieldError
@@ -37,11 +36,7 @@ def opened_document(file: Path) -> dict[str, Any]:
     FieldError
         If it is none of these documents.
     """
-    try:
-        document = json.loads(file.read_bytes())
-        schema = document.get("schema") if isinstance(document, dict) else None
-    except (ValueError, RecursionError):
-        schema = None
+    schema = stated_schema(file)
     try:
         if schema == "cep.trajectory/1":
             paths, error_px = stored_paths(file)

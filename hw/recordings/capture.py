@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hw._files import decoded, regular_file
+from hw._files import content, decoded
 from hw.recordings.saleae import is_saleae, parse_saleae
 from hw.recordings.trace import Recording
 from hw.recordings.vcd import parse_vcd
@@ -23,7 +23,7 @@ def read_capture(path: str | Path) -> Recording:
         If the file cannot be read or is neither.
     """
     try:
-        text = decoded(regular_file(path).read_bytes())
+        text = decoded(content(path))
     except UnicodeDecodeError:
         raise ValueError(
             f"{path} is no text: save or export the capture as VCD (value change dump), or from Saleae Logic as CSV"

@@ -1,4 +1,4 @@
-"""Input files: regular files only, as text, JSON or TOML; errors are one short line."""
+"""Input files: regular files only, of a limited size, as text, JSON or TOML; errors are one short line."""
 
 from __future__ import annotations
 
@@ -6,11 +6,22 @@ import json
 import stat
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-__all__ = ["one_line", "printable", "read_json", "read_text", "read_toml", "regular_file"]
+__all__ = [
+    "JSON_BYTES", "TEXT_BYTES", "TOML_BYTES", "one_line", "printable", "read_json", "read_text", "read_toml", "regular_file",
+]
+
+JSON_BYTES = 16 * 2**20
+"""Largest JSON file that is read: a path of 100,000 samples with an alternative. Parsed it may take 30 times more."""
+TOML_BYTES = 2**20
+"""Largest TOML file that is read: a settings file has a few kilobytes."""
+TEXT_BYTES = 32 * 2**20
+"""Largest table that is read."""
 
 _LONGEST = 300
+_DEEPEST = 64  # of lists and objects within each other
+_Document = TypeVar("_Document")
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),
@@ -54,12 +65,13 @@ def read_text(path: Path | str) -> str:
     Raises
     ------
     ValueError
-        If it is no regular file or not UTF-8.
+        If it is no regular file, larger than :data:`TEXT_BYTES`, or not UTF-8.
     OSError
         If it cannot be read.
     """
+    data = _content(path, most_bytes=TEXT_BYTES)
     try:
-        text = regular_file(path).read_text(encoding="utf-8-sig")
+        text = data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: not a text file in UTF-8, save it as UTF-8 ({one_line(error)})") from None
     if "\0" in text:
@@ -73,13 +85,14 @@ def read_json(path: Path | str) -> Any:
     Raises
     ------
     ValueError
-        If it is no regular file or not JSON, holds a number of thousands of digits, or is nested too deeply.
+        If it is no regular file, larger than :data:`JSON_BYTES`, or not JSON, holds a number of thousands of digits,
+        or is nested too deeply.
     OSError
         If it cannot be read.
     """
-    data = regular_file(path).read_bytes()
+    data = _content(path, most_bytes=JSON_BYTES)
     try:
-        return json.loads(data.decode("utf-8-sig"))
+        return _shallow(json.loads(data.decode("utf-8-sig")))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not a JSON file ({_reason(error)})") from None
 
@@ -90,15 +103,36 @@ def read_toml(path: Path | str) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        If it is no regular file or not TOML, holds a number of thousands of digits, or is nested too deeply.
+        If it is no regular file, larger than :data:`TOML_BYTES`, or not TOML, holds a number of thousands of digits,
+        or is nested too deeply.
     OSError
         If it cannot be read.
     """
-    data = regular_file(path).read_bytes()
+    data = _content(path, most_bytes=TOML_BYTES)
     try:
-        return tomllib.loads(data.decode("utf-8-sig"))
+        return _shallow(tomllib.loads(data.decode("utf-8-sig")))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not a TOML file ({_reason(error)})") from None
+
+
+def _content(path: Path | str, *, most_bytes: int) -> bytes:
+    """Read a regular file that is not too large for its kind."""
+    with regular_file(path).open("rb") as stream:
+        data = stream.read(most_bytes + 1)
+    if len(data) > most_bytes:
+        raise ValueError(f"{path}: is too large, a file of this kind has at most {most_bytes >> 20} MiB")
+    return data
+
+
+def _shallow(document: _Document) -> _Document:
+    """Return a document whose lists and objects are not nested too deeply: later work on it would run out of stack."""
+    level: list[Any] = [document]
+    for _ in range(_DEEPEST):
+        inner = (item.values() if isinstance(item, dict) else item for item in level if isinstance(item, dict | list))
+        level = [item for items in inner for item in items if isinstance(item, dict | list)]
+        if not level:
+            return document
+    raise RecursionError
 
 
 def _reason(error: ValueError | RecursionError) -> str:

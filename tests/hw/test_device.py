@@ -2,6 +2,7 @@ import pytest
 
 from hw.device import DeviceProfile, load_profile, parse_profile, profile_names
 from hw.program import Program
+from hw.recordings.capture import read_capture
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 
@@ -164,6 +165,15 @@ def test_a_profile_in_another_encoding_is_told_what_would_be_right(tmp_path, enc
     with pytest.raises(ValueError, match=r"mine.toml is not UTF-8: .*save it as UTF-8") as caught:
         load_profile(path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("read", "limit_mib"), [(load_profile, 1), (read_capture, 32)])
+def test_a_file_too_large_for_its_kind_is_refused_before_it_is_parsed(tmp_path, read, limit_mib):
+    path = tmp_path / "a.toml"
+    with path.open("wb") as stream:
+        stream.truncate(2**40)  # sparse: only a reader that takes it all would notice
+    with pytest.raises(ValueError, match=rf"a\.toml cannot be read: it is too large, .* at most {limit_mib} MiB"):
+        read(path)
 
 
 def test_a_profile_with_the_mark_of_windows_editors(tmp_path):

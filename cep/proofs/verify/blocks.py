@@ -23,9 +23,11 @@ __all__ = ["PROOF_SCHEMA", "ProofVerdict", "is_proof", "verify_proof"]
 
 PROOF_SCHEMA = "cep.proof/1"
 _VERSION = 1
+_MOST_BYTES = 8 * 2**20  # of a file; a thousand blocks have half a megabyte
 _CLOSE = 1e-6  # relative: minima are stated to nine digits
 _DRAWN = 2**22  # codes judged one by one, at most about
 _ROWS = 2**15
+_LONGEST_PREFIX, _LONGEST_SUFFIX = 8, 9  # more would take hours, or gigabytes
 _SPLITS = {0: [0], 1: [0, 1], 2: [0, 1, 2], 3: [1, 2], 4: [2]}  # of a sum of four chips into two sums of two
 
 
@@ -70,7 +72,7 @@ def is_proof(path: Path | str) -> bool:
     try:
         with Path(path).open("rb") as stream:
             first = json.loads(stream.readline(2**16))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return False
     return isinstance(first, dict) and str(first.get("schema", "")).startswith("cep.proof/")
 
@@ -137,13 +139,17 @@ def verify_proof(
 
 
 def _read(path: Path) -> tuple[Mapping[str, Any], list[dict[str, Any]]]:
+    with path.open("rb") as stream:
+        data = stream.read(_MOST_BYTES + 1)
+    if len(data) > _MOST_BYTES:
+        raise ValueError(f"{path}: is too large, a proof has at most {_MOST_BYTES >> 20} MiB")
     lines = []
-    for number, line in enumerate(path.read_bytes().splitlines(), 1):
+    for number, line in enumerate(data.splitlines(), 1):
         try:
             lines.append(json.loads(line))
             if not isinstance(lines[-1], dict):
                 raise ValueError
-        except ValueError:
+        except (ValueError, RecursionError):
             raise ValueError(f"{path}: line {number} is damaged, a JSON object is needed") from None
     header = lines[0] if lines else {}
     if header.get("schema") != PROOF_SCHEMA or header.get("version") != _VERSION:
@@ -152,22 +158,25 @@ def _read(path: Path) -> tuple[Mapping[str, Any], list[dict[str, Any]]]:
             f"{PROOF_SCHEMA} of version {_VERSION} can"
         )
     wanted = ("chips", "fewest_open", "most_open", "ring", "prefix", "blocks", "codes")
-    numbers = ("first", "until", "codes", "bound")
+    kinds = {"first": int, "until": int, "codes": int, "survivors": str, "minima": str}
     bad = next((key for key in wanted if not isinstance(header.get(key), int)), None)
     if bad is not None:
         raise ValueError(f"{path}: {bad}: must be a whole number")
     for number, record in enumerate(lines[1:], 2):
-        bad = next((key for key in numbers if not isinstance(record.get(key), int | float)), None)
-        bad = bad or next((key for key in ("survivors", "minima") if not isinstance(record.get(key), str)), None)
+        bad = next((key for key, kind in kinds.items() if not isinstance(record.get(key), kind)), None)
+        bound = record.get("bound")
+        if not (isinstance(bound, int | float) and 0 <= bound <= header["chips"]):
+            bad = "bound"
         if bad is not None:
-            raise ValueError(f"{path}: line {number}: {bad} is missing, or of another type")
+            raise ValueError(f"{path}: line {number}: {bad} is missing, or no value of it")
     return header, sorted(lines[1:], key=lambda record: record["first"])
 
 
 def _check_count(header: Mapping[str, Any], records: Sequence[Mapping[str, Any]]) -> int:
     """Check that blocks are complete and their codes sum to the closed count."""
     ring, quarter, prefix = header["ring"], header["ring"] // 4, header["prefix"]
-    if ring % 4 or not 12 <= ring <= 64 or ring < header["chips"] or not 1 <= prefix < quarter:
+    prefixes = range(max(1, quarter - _LONGEST_SUFFIX), min(quarter, _LONGEST_PREFIX + 1))
+    if ring % 4 or not 12 <= ring <= 64 or ring < header["chips"] or prefix not in prefixes:
         raise RefusedError(f"a ring of {ring} chips with a prefix of {prefix} is not valid for {header['chips']} chips")
     at = 0
     for record in records:
@@ -218,13 +227,10 @@ def _check_block(
     """Count a block out, and judge folds drawn from it; return how many, and the codes judged one by one."""
     quarter = header["ring"] // 4
     folds = _folds(header, record)
-    images = np.concatenate([np.roll(way, k, axis=1) for way in (folds, folds[:, ::-1]) for k in range(quarter)])
-    numbers = _numbers(images).reshape(2 * quarter, len(folds))
-    own = _numbers(folds)
-    chosen = (numbers <= own).all(axis=0) if len(folds) else np.zeros(0, bool)
-    folds, numbers = folds[chosen], numbers[:, chosen]
+    turns = product((1, -1), range(quarter))
+    images = np.stack([_numbers(np.roll(folds[:, ::way], -turn, axis=1)) for way, turn in turns])
     ways = np.array([1, 4, 6, 4, 1])[folds].prod(axis=1)
-    orbits = np.array([len(set(column)) for column in numbers.T.tolist()], dtype=np.int64)
+    orbits = 1 + (np.diff(np.sort(images, axis=0), axis=0) > 0).sum(axis=0)  # images that differ
     if int((ways * orbits).sum()) != record["codes"]:
         raise RefusedError(f"the block of prefixes {record['first']} holds {int((ways * orbits).sum())} codes")
     listed: dict[tuple[int, ...], set[str]] = {}
@@ -247,23 +253,22 @@ def _check_block(
 
 
 def _folds(header: Mapping[str, Any], record: Mapping[str, Any]) -> NDArray[np.int64]:
-    """All folds of a block whose first sum is the largest, as that of a largest rotation is, (R, q)."""
+    """All folds of a block that none of their rotations and mirror images exceeds, (R, q)."""
     quarter, prefix = header["ring"] // 4, header["prefix"]
-    behind = np.array(list(product(range(5), repeat=quarter - prefix)), dtype=np.int64).reshape(-1, quarter - prefix)
-    parts = []
+    behind = np.arange(5 ** (quarter - prefix))[:, None] // 5 ** np.arange(quarter - prefix)[::-1] % 5
+    parts = [np.zeros((0, quarter), np.int64)]
     for number in range(record["first"], record["until"]):
         front = np.array([number // 5**place % 5 for place in reversed(range(prefix))])
-        if (front <= front[0]).all():
-            some = behind[(behind <= front[0]).all(axis=1)]
-            opened = front.sum() + some.sum(axis=1)
-            some = some[(opened >= header["fewest_open"]) & (opened <= header["most_open"])]
-            rows = np.concatenate([np.tile(front, (len(some), 1)), some], axis=1)
-            # no rotation that begins within the prefix may be larger: few rows remain for the full test
-            for k in range(1, prefix):
-                if len(rows):
-                    rows = rows[_numbers(np.roll(rows, -k, axis=1)) <= _numbers(rows)]
-            parts.append(rows)
-    return np.concatenate(parts) if parts else np.zeros((0, quarter), np.int64)
+        if (front > front[0]).any():
+            continue
+        some = behind[(behind <= front[0]).all(axis=1)]
+        opened = front.sum() + some.sum(axis=1)
+        some = some[(opened >= header["fewest_open"]) & (opened <= header["most_open"])]
+        rows = np.concatenate([np.tile(front, (len(some), 1)), some], axis=1)
+        for way, turn in product((1, -1), range(quarter)):
+            rows = rows[_numbers(np.roll(rows[:, ::way], -turn, axis=1)) <= _numbers(rows)]
+        parts.append(rows)
+    return np.concatenate(parts)
 
 
 def _judged(fold: NDArray[np.int64], chips: int, bound: float) -> tuple[set[str], int]:

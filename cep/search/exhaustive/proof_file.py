@@ -125,7 +125,7 @@ def _read(path: Path, plan: BlockPlan) -> tuple[list[dict[str, Any]], int]:
             lines.append(json.loads(line))
             if not isinstance(lines[-1], dict):
                 raise ValueError
-        except ValueError:
+        except (ValueError, RecursionError):
             raise ValueError(f"{path}: line {number} is damaged; give another --cache, or delete that line") from None
     header = lines[0] if lines else {}
     if header.get("schema") != SCHEMA:

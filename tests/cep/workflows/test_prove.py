@@ -168,6 +168,7 @@ def test_a_file_cut_short_in_its_first_line_is_begun_anew(tmp_path):
         (lambda folder: change(folder, 2, survivors=None), "line 3: survivors: must be a string"),
         (lambda folder: change(folder, 2, bound="2"), "line 3: bound: must be a number"),
         (lambda folder: (folder / FILE_NAME).write_text("{\n"), "line 1 is damaged"),
+        (lambda folder: (folder / FILE_NAME).write_text("[" * 100_000 + "\n"), "line 1 is damaged"),
         (lambda folder: (folder / FILE_NAME).write_text("notes"), "is no proof"),
     ],
 )

@@ -7,7 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from motdiff.io.inputs import one_line, read_json, read_text, read_toml, regular_file
+from motdiff.io.inputs import (
+    JSON_BYTES,
+    TEXT_BYTES,
+    TOML_BYTES,
+    one_line,
+    read_json,
+    read_text,
+    read_toml,
+    regular_file,
+)
 
 
 def test_regular_files_and_links_to_them_are_taken(tmp_path):
@@ -96,3 +105,42 @@ def test_why_a_parser_gives_up_is_said_in_plain_words(tmp_path, read, text):
     path.write_text(text)
     with pytest.raises(ValueError, match=r"a\.txt: not a (JSON|TOML) file \((it is nested|a number in it)"):
         read(path)
+
+
+@pytest.mark.parametrize(
+    ("read", "limit", "text"),
+    [(read_json, JSON_BYTES, "[]"), (read_toml, TOML_BYTES, "a = 1"), (read_text, TEXT_BYTES, "0 0 0 0")],
+)
+def test_a_file_too_large_for_its_kind_is_refused_before_it_is_parsed(tmp_path, read, limit, text):
+    path = tmp_path / "a.txt"
+    path.write_text(text.ljust(limit))
+    assert read(path) is not None
+    with path.open("r+b") as stream:
+        stream.truncate(2**40)  # sparse: only a reader that takes it all would notice
+    with pytest.raises(ValueError, match=rf"a\.txt: is too large, a file of this kind has at most {limit >> 20} MiB"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("read", "nested"),
+    [
+        (read_json, lambda depth: "[" * depth + "]" * depth),
+        (read_json, lambda depth: '{"a":' * depth + "1" + "}" * depth),
+        (read_toml, lambda depth: ".".join("a" * depth) + " = 1"),
+        (read_toml, lambda depth: "[" + ".".join("a" * (depth - 1)) + "]"),
+    ],
+    ids=["lists", "objects", "dotted keys", "tables"],
+)
+def test_what_is_nested_too_deeply_for_later_work_is_refused(tmp_path, read, nested):
+    path = tmp_path / "a.txt"
+    path.write_text(nested(64))
+    assert json.dumps(read(path), indent=1)
+    for depth in (65, 900, 50_000 if read is read_json else 2000):
+        path.write_text(nested(depth))
+        with pytest.raises(ValueError, match=r"a\.txt: not a (JSON|TOML) file \(it is nested too deeply\)"):
+            read(path)
+
+
+def test_text_has_line_feeds_whatever_its_lines_end_with(tmp_path):
+    (tmp_path / "a").write_bytes(b"a\r\nb\rc\nd")
+    assert read_text(tmp_path / "a") == "a\nb\nc\nd"

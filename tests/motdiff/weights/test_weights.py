@@ -284,3 +284,12 @@ def test_a_header_of_no_network_we_know_is_refused(exported, network):
 def test_tensors_of_another_network_are_refused(exported, change):
     rewritten(exported, change=change)
     refused(load_network, exported, "its tensors do not fit")
+
+
+def test_a_header_too_large_is_refused_before_it_is_parsed(tmp_path):
+    path = tmp_path / "w.safetensors"
+    with path.open("wb") as stream:
+        stream.write((2**40).to_bytes(8, "little") + b"{")
+        stream.truncate(2**40 + 8)  # sparse
+    with pytest.raises(ValueError, match=r"w\.safetensors: cannot be read as weights: its header has more than 16 MiB"):
+        read_card(path)

@@ -1,16 +1,19 @@
 """The check of a proof in blocks: it passes true ones, and refuses whatever is missing, doubled or changed."""
 
 import json
+import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cep.proofs.verify.blocks import is_proof, verify_proof
+from cep.proofs.verify.blocks import _check_block, is_proof, verify_proof
 from cep.search.exhaustive.block_proof import VERSION, judge_block, plan_blocks
 from cep.search.exhaustive.proof_file import SCHEMA
 from cep.search.problem import SearchProblem
 
 BOUND = 1.3
+PROOF_OF_42 = Path(__file__).resolve().parents[4] / "docs" / "proofs" / "42.jsonl"
 
 
 @pytest.fixture(scope="module")
@@ -113,3 +116,55 @@ def test_a_damaged_line_is_named(tmp_path, true_lines):
     with pytest.raises(ValueError, match="line 2 is damaged"):
         verify_proof(path, rng=np.random.default_rng(0))
     assert not is_proof(tmp_path / "none")
+
+
+def test_the_largest_block_of_a_published_proof_is_counted_out_in_little_memory():
+    """All images of all its folds at once took 1.5 GB."""
+    lines = [json.loads(line) for line in PROOF_OF_42.read_text().splitlines()]
+    largest = max(lines[1:], key=lambda line: line["folds"])
+    tracemalloc.start()
+    try:
+        _check_block(lines[0], largest, np.random.default_rng(0), 1)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 256 * 2**20
+
+
+@pytest.mark.parametrize(
+    "line", [b"[" * 60_000, b'{"a":' * 10_000, b"[" * 10**6, b"1" * 5000, b'{"schema": "cep.proof/1"'], ids=repr
+)
+def test_lines_that_no_parser_takes_are_refused_by_their_number(tmp_path, true_lines, line):
+    path = tmp_path / "proof.jsonl"
+    path.write_bytes(json.dumps(true_lines[0]).encode() + b"\n" + line + b"\n")
+    assert is_proof(path)
+    with pytest.raises(ValueError, match=r"proof\.jsonl: line 2 is damaged"):
+        verify_proof(path, rng=np.random.default_rng(0))
+    path.write_bytes(line + b"\n")
+    assert not is_proof(path)
+
+
+def test_a_file_too_large_is_refused_before_it_is_parsed(tmp_path, true_lines):
+    path = tmp_path / "proof.jsonl"
+    path.write_text(json.dumps(true_lines[0]) + "\n")
+    with path.open("r+b") as stream:
+        stream.truncate(2**40)
+    with pytest.raises(ValueError, match=r"proof\.jsonl: is too large, a proof has at most 8 MiB"):
+        verify_proof(path, rng=np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{"first": 0.5}, {"until": 1e300}, {"codes": "9"}, {"bound": 10**400}, {"bound": float("nan")}, {"minima": 3}],
+    ids=repr,
+)
+def test_records_of_other_types_are_refused(tmp_path, true_lines, fields):
+    (name,) = fields
+    with pytest.raises(ValueError, match=rf"line 4: {name} is missing, or no value of it"):
+        checked(tmp_path, changed(true_lines, 3, **fields))
+
+
+@pytest.mark.parametrize("prefix", [1, 14])
+def test_a_header_that_asks_for_endless_work_is_refused(tmp_path, true_lines, prefix):
+    header = {**true_lines[0], "ring": 60, "prefix": prefix}
+    assert "is not valid" in checked(tmp_path, [header, true_lines[1] | {"until": 5**prefix}]).reasons[-1]
