@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import signal
 import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping
@@ -21,6 +22,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from cep.jobs.cells import Figure, Finished, worked
 from cep.jobs.fingerprint import all_sources
 from cep.jobs.machine import machine
+from motdiff.processes import end_with_parent
 
 __all__ = ["Task", "Tasks", "in_processes", "in_threads", "on_cluster"]
 
@@ -57,14 +59,15 @@ def in_threads(tasks: Iterator[Task], workers: int) -> Generator[tuple[str, Fini
 def in_processes(tasks: Tasks, workers: int) -> Generator[tuple[str, Finished]]:
     """Yield fingerprints with finished cells, from ``workers`` processes of one inner thread each.
 
-    A cell that kills its process fails; the cells that ran beside it are run again.
+    A cell that kills its process fails; the cells that ran beside it are run again. The processes end with this one.
     """
 
     def run(some: Tasks) -> Generator[tuple[str, Finished]]:
-        with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1), warnings.catch_warnings():
+        beginning = {"initializer": _begin_worker, "initargs": (os.getpid(),)}
+        with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1, **beginning), warnings.catch_warnings():
             # loky restarts processes whose memory has grown, as PyTorch's does, and warns of it
             warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
-            yield from _spread(some, _undisturbed, pre_dispatch=2 * workers)
+            yield from _spread(some, _one, pre_dispatch=2 * workers)
 
     waiting = dict(tasks)
     while waiting:
@@ -190,11 +193,9 @@ def _of_these_sources(
     return _one(key, work, arguments)
 
 
-def _undisturbed(
-    key: str, work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, Any]
-) -> tuple[str, Finished]:
+def _begin_worker(parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C here too; joblib ends this process
-    return _one(key, work, arguments)
+    end_with_parent(parent)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from torch import Tensor
 from motdiff.gyro import GyroTrace
 from motdiff.io.gyro_tables import read_gyro
 from motdiff.motions import boracchi_foi, quadratic, random_gyro_motion, random_straight
+from motdiff.processes import end_with_parent
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX, PSF_PX
 from motdiff.trajectory import Trajectory
 
@@ -217,7 +219,7 @@ def build_bank(mix: MotionMix, *, count: int, seed: int, first: int = 0, workers
     chunks = [range(start, min(start + _CHUNK, last)) for start in range(first, last, _CHUNK)]
     draw = partial(_drawn, mix, seed)
     if workers > 1:
-        with ProcessPoolExecutor(workers) as pool:
+        with ProcessPoolExecutor(workers, initializer=end_with_parent, initargs=(os.getpid(),)) as pool:
             drawn = [item for chunk in pool.map(draw, chunks) for item in chunk]
     else:
         drawn = [item for chunk in chunks for item in draw(chunk)]

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 from emulators.tools import require_simavr
+from killed_parents import outliving
 
 import cep
 from cep.studio import jobs as module
@@ -234,3 +235,30 @@ def test_a_code_is_played_on_the_emulated_controller(setting):
     assert "whole ticks of 500 ns" in done.result["warnings"][0]
     chips = [0, 2, 3, 4, 7, 10, 11, 12, 13, 15]
     assert [time_ns for time_ns, _ in edges] == pytest.approx([1_250_000 * chip for chip in chips], abs=200)
+
+
+SERVER = """
+import asyncio
+from pathlib import Path
+import cep.studio.jobs as module
+from cep.studio import work
+
+async def serve():
+    jobs = module.Jobs()
+    jobs.warm()
+    queue = jobs.listen("page")
+    jobs.start("page", "search", {{"setting": {setting!r}, "steps": 10**9}})
+    while True:
+        job = await queue.get()
+        if job is not None and job.best:
+            Path({busy!r}).touch()
+
+asyncio.run(serve())
+"""
+
+
+@pytest.mark.slow(reason="a server, and a process that loads the library")
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/proc tells which processes live")
+def test_a_job_ends_with_a_server_that_is_killed(tmp_path, setting):
+    busy = tmp_path / "busy"
+    assert outliving(SERVER.format(setting=setting, busy=str(busy)), busy=busy, least=2) == []
