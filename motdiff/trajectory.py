@@ -17,10 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX, PSF_PX
 
 __all__ = [
+    "LONGEST_PX",
     "Direction",
     "Segments",
     "Trajectory",
     "bilinear_otf",
+    "check_length",
     "pixel_aperture_otf",
     "slice_of",
     "slice_psfs",
@@ -32,6 +34,9 @@ __all__ = [
 Direction = Literal["known", "unknown"]
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+LONGEST_PX = 4096.0
+"""Longest path that is handled, px: it passes every pixel of the usual PSF frame once, or crosses a large photo."""
 
 _CENTRE_TOLERANCE_PX = 1e-6
 _OTF_CHUNK = 2**18  # complex numbers held at once: stays in cache, 3.5 x faster than 2**22
@@ -467,3 +472,17 @@ def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray
         kept[first[fits] + width // 2] = False
         joined = straight
     return np.flatnonzero(kept)
+
+
+def check_length(trajectory: Trajectory) -> None:
+    """Refuse a path of more than :data:`LONGEST_PX`, before work that grows with its length or its square.
+
+    Raises
+    ------
+    ValueError
+        If it is longer.
+    """
+    if trajectory.length_px > LONGEST_PX:
+        raise ValueError(
+            f"trajectory: the path is {trajectory.length_px:.6g} px long, at most {LONGEST_PX:g} px can be handled"
+        )

@@ -119,15 +119,15 @@ def table_files(table: Path | None) -> list[Path]:
 def load_motion(trajectory: Path | None, linear: float | None) -> StoredMotion:
     """Return the motion that ``--trajectory`` or ``--linear`` names, exactly one of them."""
     from motdiff.io.trajectories import StoredMotion, read_motion
-    from motdiff.trajectory import Trajectory
+    from motdiff.trajectory import LONGEST_PX, Trajectory
 
     if (trajectory is None) == (linear is None):
         raise ValueError("--trajectory FILE or --linear PX: exactly one of them is needed")
     if trajectory is not None:
         return read_motion(trajectory)
     assert linear is not None
-    if not 0 < linear < 1e5:
-        raise ValueError(f"--linear: must be a length above 0 and below 100000 px, got {linear:g}")
+    if not 0 < linear <= LONGEST_PX:
+        raise ValueError(f"--linear: must be a length above 0 and up to {LONGEST_PX:g} px, got {linear:g}")
     return StoredMotion(Trajectory.straight(linear), source={"method": "linear"})
 
 

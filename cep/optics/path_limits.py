@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cep.optics.band import stays_in_place, uniform_length_px
-from motdiff.trajectory import Trajectory
+from motdiff.trajectory import Trajectory, check_length
 
 __all__ = ["FINEST_CHIP_PX", "LARGEST_FRAME_PX", "MOST_SAMPLES", "check_frame", "check_resolved"]
 
@@ -18,14 +18,15 @@ MOST_SAMPLES = 20_000
 
 
 def check_frame(trajectory: Trajectory) -> None:
-    """Refuse a bent path too wide or too dense to be measured; a uniform straight one has a formula for any length.
+    """Refuse a path too long, or a bent one too wide or too dense to be measured; a straight one has a formula.
 
     Raises
     ------
     ValueError
-        If the PSF would need a frame of more than :data:`LARGEST_FRAME_PX`, or there are more samples than
-        :data:`MOST_SAMPLES`.
+        If the path is longer than :data:`motdiff.trajectory.LONGEST_PX`, the PSF would need a frame of more than
+        :data:`LARGEST_FRAME_PX`, or there are more samples than :data:`MOST_SAMPLES`.
     """
+    check_length(trajectory)
     if uniform_length_px(trajectory) is not None:
         return
     if trajectory.t.size > MOST_SAMPLES:

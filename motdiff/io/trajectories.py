@@ -13,7 +13,7 @@ import numpy as np
 from motdiff.io.inputs import one_line, read_json
 from motdiff.io.outputs import write_text
 from motdiff.io.schemas import fault, load_schema
-from motdiff.trajectory import Direction, Trajectory
+from motdiff.trajectory import Direction, Trajectory, check_length
 
 __all__ = ["SCHEMA", "StoredMotion", "read_motion", "stated_uncertainty_px", "trajectory_text", "write_motion"]
 
@@ -80,7 +80,8 @@ def read_motion(path: Path | str) -> StoredMotion:
     Raises
     ------
     ValueError
-        If the file is not JSON, not of this schema, or its samples are not a trajectory; the line names the file.
+        If the file is not JSON, not of this schema, or its samples are not a trajectory, or one longer than
+        :data:`motdiff.trajectory.LONGEST_PX`; the line names the file.
     OSError
         If the file cannot be read.
     """
@@ -137,4 +138,5 @@ def _trajectory(fields: Mapping[str, Any], direction: Direction) -> Trajectory:
     exact = Trajectory.from_samples(np.column_stack([x, y]), t=t, direction=direction)
     if t[0] != 0 or t[-1] != 1:
         raise ValueError(f"t must run from 0 to 1, got {t[0]:g} to {t[-1]:g}")
+    check_length(exact)
     return exact if len(t) <= _DENSE else exact.thinned(_THINNED_PX)

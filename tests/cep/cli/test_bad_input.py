@@ -577,4 +577,38 @@ def test_light_that_cannot_be_judged_is_refused_before_a_code_is_written(refused
     )
     assert "--camera: the light level must lie within 1..1e7 photo-electrons" in refused(*asked, "bright.toml")
     assert "this camera is full at 1,000 electrons" in refused(*asked, "full.toml")
-    assert "--linear: must be a length above 0 and below 100000 px" in refused("advise", "--linear", "1e9")
+    assert "--linear: must be a length above 0 and up to 4096 px" in refused("advise", "--linear", "1e9")
+
+
+def path_of(length_px, *, turns=0):
+    """A trajectory.json of a path so long: straight, or to and fro within 8 px and so many times."""
+    t = np.linspace(0, 1, 2 if turns == 0 else 2 * turns + 1)
+    x = length_px * (t - 0.5) if turns == 0 else np.arange(t.size) % 2 * (length_px / (2 * turns))
+    y = 3 * t**2 if turns else 0 * t
+    return json.dumps({"schema": "cep.trajectory/1", "t": t.tolist(), "x": x.tolist(), "y": y.tolist()})
+
+
+@pytest.mark.parametrize("path", [path_of(4100), path_of(200_000), path_of(20_000, turns=1250)], ids=len)
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("optimize", "--chips", "12", "-o", "new.json"),
+        ("audit", "101100111000"),
+        ("mtf", "--code", "101100111000", "-o", "new.png"),
+        ("advise",),
+        ("pareto", "--chips", "12", "-o", "new.json"),
+        ("simulate", "sharp.png", "-o", "new.png"),
+        ("deblur", "sharp.png", "-o", "new.png"),
+        ("refine", "sharp.png", "--code", "101100111000", "-o", "new"),
+    ],
+    ids=lambda command: command[0],
+)
+def test_a_path_too_long_is_refused_before_any_work(refused, command, path):
+    """A PSF of it has gigabytes, and a search goes on for minutes beyond its time."""
+    Path("long.json").write_text(path)
+    write_image("sharp.png", np.random.default_rng(0).random((64, 64)))
+    line = refused(*command, "--trajectory", "long.json")
+    assert "long.json: trajectory: the path is " in line
+    assert "at most 4096 px can be handled" in line
+    if command[0] != "refine":
+        assert "--linear: must be a length above 0 and up to 4096 px" in refused(*command, "--linear", "4097")

@@ -161,3 +161,13 @@ def test_a_dense_path_is_thinned_on_reading_and_others_are_as_they_were(tmp_path
     few = path.resampled(2000)
     write_motion(tmp_path / "few.json", StoredMotion(few))
     np.testing.assert_array_equal(read_motion(tmp_path / "few.json").trajectory.t, few.t)
+
+
+def test_a_path_of_thousands_of_px_is_read_and_a_longer_one_refused(tmp_path):
+    for length_px in (300.0, 4096.0):
+        write_motion(tmp_path / "t.json", StoredMotion(Trajectory.straight(length_px)))
+        assert read_motion(tmp_path / "t.json").trajectory.length_px == pytest.approx(length_px)
+    good = StoredMotion(Trajectory.straight(20.0), 0.6, ((0.4, Trajectory.straight(4096.1)),))
+    write_motion(tmp_path / "t.json", good)
+    with pytest.raises(ValueError, match=r"t\.json: trajectory: the path is 4096\.1 px long, at most 4096 px"):
+        read_motion(tmp_path / "t.json")
