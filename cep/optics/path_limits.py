@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cep.optics.band import stays_in_place, uniform_length_px
+from cep.optics.band import stays_in_place, straight_axis, uniform_length_px
 from motdiff.trajectory import Trajectory, check_length
 
 __all__ = ["FINEST_CHIP_PX", "LARGEST_FRAME_PX", "MOST_SAMPLES", "check_frame", "check_resolved"]
@@ -10,34 +10,37 @@ __all__ = ["FINEST_CHIP_PX", "LARGEST_FRAME_PX", "MOST_SAMPLES", "check_frame", 
 FINEST_CHIP_PX = 0.25
 """Shortest mean displacement per chip, px: the pitch of the HR map. Chips below it differ by nothing a pixel sees."""
 
-LARGEST_FRAME_PX = 2048
-"""Widest PSF frame, px, of a bent path that is measured: the work grows with its area."""
+LARGEST_FRAME_PX = 1024
+"""Widest PSF frame, px, of a bent path that is measured: the work grows with its area, to minutes and a gigabyte."""
 
 MOST_SAMPLES = 20_000
 """Most samples of a bent path that is measured: the work grows with them, to half a minute of a code's figures."""
 
+_MOST_WORK = 2**29  # samples times pixels of the frame: minutes of a code's figures
+
 
 def check_frame(trajectory: Trajectory) -> None:
-    """Refuse a path too long, or a bent one too wide or too dense to be measured; a straight one has a formula.
+    """Refuse a path too long, or one too dense or, where it is bent, too wide to be measured.
 
     Raises
     ------
     ValueError
         If the path is longer than :data:`motdiff.trajectory.LONGEST_PX`, the PSF would need a frame of more than
-        :data:`LARGEST_FRAME_PX`, or there are more samples than :data:`MOST_SAMPLES`.
+        :data:`LARGEST_FRAME_PX`, or there are more samples than :data:`MOST_SAMPLES`, of a wide path fewer.
     """
     check_length(trajectory)
     if uniform_length_px(trajectory) is not None:
         return
-    if trajectory.t.size > MOST_SAMPLES:
-        raise ValueError(
-            f"trajectory: the path has {trajectory.t.size} samples, at most {MOST_SAMPLES} can be measured; "
-            "give fewer, the noise between them is not the camera's motion"
-        )
-    frame = trajectory.frame_size()
+    frame = 1 if straight_axis(trajectory) is not None else trajectory.frame_size()
     if frame > LARGEST_FRAME_PX:
         raise ValueError(
             f"trajectory: the path needs a PSF of {frame} px around its zero, at most {LARGEST_FRAME_PX} can be handled"
+        )
+    most = min(MOST_SAMPLES, _MOST_WORK // frame**2)
+    if trajectory.t.size > most:
+        raise ValueError(
+            f"trajectory: the path has {trajectory.t.size} samples, at most {most} of such a path can be measured; "
+            "give fewer, the noise between them is not the camera's motion"
         )
 
 

@@ -209,14 +209,14 @@ def test_bad_trajectories(refused, workplace, command, change, message):
 
 
 def test_motions_wider_than_the_photo_or_any_frame(refused, workplace):
-    Path("wide.json").write_text(json.dumps(GOOD | {"x": [-2500.0, 0.0, 2500.0], "y": [0.0, 3.0, 0.0]}))
+    Path("wide.json").write_text(json.dumps(GOOD | {"x": [-2000.0, 0.0, 2000.0], "y": [0.0, 3.0, 0.0]}))
     np.save("wide.npy", np.full((301, 301), 1e-5))
     for option, name in (("--trajectory", "wide.json"), ("--psf", "wide.npy")):
         line = refused("deblur", "blurred.png", option, name)
         assert f"{option}: " in line
         assert "the photo is only" in line
     for arguments in (["mtf"], ["audit", "1011"], ["optimize", "--chips", "20"]):
-        assert "at most 2048" in refused(*arguments, "--trajectory", "wide.json", "-o", "new.png")
+        assert "at most 1024" in refused(*arguments, "--trajectory", "wide.json", "-o", "new.png")
 
 
 def dense(noise_px):

@@ -22,13 +22,19 @@ def test_straight_motions_of_thousands_of_px_are_measured(length_px):
     assert cep.audit(CODE, path, flips=0).metrics.min_mtf == pytest.approx(0, abs=1e-9)  # a chip's own zero
 
 
+def test_an_accelerated_straight_motion_may_be_as_long():
+    t = np.linspace(0, 1, 30)
+    check_frame(Trajectory.from_samples(np.column_stack([4000 * t**2, 0 * t]), t=t))
+
+
 @pytest.mark.parametrize(
     ("path", "words"),
     [
         (Trajectory.straight(LONGEST_PX + 1), "is 4097 px long, at most 4096 px can be handled"),
         (Trajectory.straight(200_000), "is 200000 px long, at most 4096 px can be handled"),
         (wave(20, width_px=LARGEST_FRAME_PX + 9), "needs a PSF of .* px around its zero"),
-        (wave(MOST_SAMPLES + 1, width_px=30), "has 20001 samples, at most 20000 can be measured"),
+        (wave(MOST_SAMPLES + 1, width_px=30), "has 20001 samples, at most 20000 of such a path can be measured"),
+        (wave(900, width_px=900), "has 900 samples, at most .* of such a path can be measured"),
     ],
 )
 def test_others_are_refused_by_the_verbs(path, words):
