@@ -9,7 +9,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 __all__ = [
-    "JSON_BYTES", "TEXT_BYTES", "TOML_BYTES", "one_line", "printable", "read_json", "read_text", "read_toml", "regular_file",
+    "JSON_BYTES",
+    "TEXT_BYTES",
+    "TOML_BYTES",
+    "one_line",
+    "printable",
+    "read_json",
+    "read_text",
+    "read_toml",
+    "regular_file",
 ]
 
 JSON_BYTES = 16 * 2**20
