@@ -420,6 +420,7 @@ def _show(console: Console, *, best: Optimum, others: Mapping[int, float], file:
         f"{best.certificate.lower:.6g}..{best.certificate.upper:.6g} ({best.certificate.method})"
     )
     if found.stopped == "proven" and found.proof is not None:
-        console.print(f"proven: no code within the limits is better on {found.proof['domain']}")
+        proof = f" ({found.proof['file']})" if "file" in found.proof else ""
+        console.print(f"proven{proof}: no code within the limits is better on {found.proof['domain']}")
     elif best.bound is not None:
         console.print(f"{best.figure}: no code with so many open chips can do better than {number(best.bound)}")

@@ -4,6 +4,9 @@ What a code is compared with is computed first. The annealing starts from whatev
 from the nearest code to each other one. The code returned is the best of what the search found and of what it is
 compared with, by the problem's objective with its minima over the continuum. So no code within the limits that a table
 shows beats it.
+
+On straight motion the proven codes of docs/optima.md are starts as well. Where the proof of one covers the problem,
+that code is the answer.
 """
 
 from __future__ import annotations
@@ -20,9 +23,10 @@ import numpy as np
 from cep.codes.published import for_chips
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import Stopped, anneal
+from cep.search.bundled import proven_optimum, proven_starts
 from cep.search.dnf import dnf_search
 from cep.search.exhaustive.exact import ExactResult, codes_to_count, exact
-from cep.search.exhaustive.proof import BlockLog
+from cep.search.exhaustive.proof import ProofLog
 from cep.search.light import best_snapshot, best_strobe, random_codes
 from cep.search.limits import nearest
 from cep.search.objective import Objective
@@ -89,7 +93,7 @@ class Found:
         What the code was compared with: none of them that keeps the limits has a lower cost. Ctrl-C may have cut them
         short.
     proof : dict or None
-        Log of the proof.
+        Log of the proof; ``file`` names that of a proof in blocks or of a bundled proof.
     """
 
     code: ShutterCode
@@ -114,6 +118,8 @@ def search_code(
 ) -> Found:
     """Search a code; anytime: a limit or Ctrl-C returns the best so far.
 
+    Where a bundled proof covers the problem, its code is returned without a search.
+
     Parameters
     ----------
     problem : SearchProblem
@@ -132,6 +138,16 @@ def search_code(
     ValueError
         If a limit is not positive or a starting code has another length.
     """
+    optimum = proven_optimum(problem)
+    if optimum is not None:
+        return prove_code(
+            problem,
+            rng=rng,
+            time_s=time_s,
+            length_px=length_px,
+            threads=threads,
+            count=lambda *_args, **_options: optimum,
+        )
     began = time.monotonic()
     for_baselines, for_search = rng.spawn(2)
     judge = Objective(problem, oversampling=_FINE, dtype=np.float64)
@@ -152,7 +168,7 @@ def search_code(
             rng=for_search,
             steps=steps,
             time_s=left_s,
-            start=[*_starts(problem, known), *start],
+            start=[*_starts(problem, known), *proven_starts(problem), *start],
             progress=progress,
             threads=threads,
             judge=judge,
@@ -182,7 +198,7 @@ def prove_code(
     progress, threads
         Of the count, as :func:`cep.search.exhaustive.exact.exact` takes them.
     count : callable
-        That function, or another proof that takes the same.
+        That function, or another that takes the same and returns a proof.
 
     Raises
     ------
@@ -198,7 +214,7 @@ def prove_code(
     code, cost = proven.code, judge.exact_cost(proven.code)
     if not proven.proven:
         code, cost = _best_of(code, cost, known)
-    counted = proven.proof.judged if isinstance(proven.proof, BlockLog) else codes_to_count(problem)
+    counted = codes_to_count(problem) if isinstance(proven.proof, ProofLog) else proven.proof.judged
     return Found(
         code, cost, counted, proven.seconds, "proven" if proven.proven else "interrupted",
         tuple(known), proven.proof.to_dict(),

@@ -128,7 +128,8 @@ class Optimum:
     figure : str
         Name of what is bounded, with its unit; empty where nothing bounds the objective.
     bound, gap : float or None
-        What no code of so much light can exceed, and how far off this one is: 0..1, or dB for the noise.
+        What no code of so much light can exceed, and how far off this one is: 0..1, or dB for the noise. Of a code
+        proven on the unit circle, the bound that the proof gives to all codes within the limits.
     """
 
     problem: SearchProblem
@@ -189,6 +190,7 @@ class Optimum:
             **self.comparison[0].to_dict(),
             "objective": found.objective,
             "proven": found.stopped == "proven",
+            "proof": (found.proof or {}).get("file"),
             "certificate": self.certificate.to_dict(),
             "bound": self.bound,
             "gap": self.gap,
@@ -340,7 +342,7 @@ def optimize(
     judged = verdict(problem, code, path_error_px=path_error_px)
     path = None if problem.on_circle else designed
     certificate = certify(code, path)
-    bounded = _bounded(problem, comparison[0].metrics, straight=path is None, effort=effort)
+    bounded = _bounded(problem, found, comparison[0].metrics, straight=path is None, effort=effort)
     progress(1.0, "")
     return Optimum(problem, how, found, comparison, judged, path, certificate, *bounded)
 
@@ -523,13 +525,16 @@ def _rounded(problem: SearchProblem, seed: int) -> list[ShutterCode]:
 
 
 def _bounded(
-    problem: SearchProblem, metrics: CodeMetrics, *, straight: bool, effort: Literal["quick", "sdp"]
+    problem: SearchProblem, found: Found, metrics: CodeMetrics, *, straight: bool, effort: Literal["quick", "sdp"]
 ) -> tuple[str, float | None, float | None]:
     """Name, bound and gap of the figure that was optimised, None where nothing bounds it."""
     from cep.search.bounding.bounds import bound
 
     if problem.objective not in ("min-mtf", "noise"):
         return "", None, None
+    if straight and found.proof is not None and found.stopped == "proven":
+        limit, reached = found.proof["upper"], metrics.min_chip
+        return "min |P|, chips", limit, max(0.0, 1 - reached / limit) if limit > 0 else 0.0
     limits = bound(problem, effort=effort)
     if problem.objective == "noise":
         return "noise gain, dB", limits.noise, metrics.noise_gain_db - limits.noise

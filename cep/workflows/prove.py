@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from cep.codes.optima import OPTIMA
 from cep.jobs.cells import Finished
 from cep.jobs.engine import run_tasks
 from cep.jobs.executors import Task, in_threads
 from cep.optics.code import ShutterCode
-from cep.proofs.certify.minimum import chip_minimum, min_chip
+from cep.proofs.certify.minimum import chip_minimum
 from cep.search.exhaustive.block_proof import BlockPlan, certified, core, judge_block, plan_blocks
 from cep.search.exhaustive.proof import BlockLog, ExactResult
 from cep.search.exhaustive.proof_file import ProofFile
@@ -55,7 +54,7 @@ def prove(
     progress : callable, optional
         Called with the fraction of the codes accounted for and the best code so far.
     threads : int, optional
-        Of the annealing; the first bound is the better one of its code's and of the optima's known for fewer chips.
+        Of the annealing for the first bound, which starts from the bundled codes.
 
     Returns
     -------
@@ -100,13 +99,9 @@ def best_of(plan: BlockPlan, records: Any) -> str:
 
 
 def _first(problem: SearchProblem, threads: int | None) -> str:
-    """Return a code to begin with, proven for fewer chips or annealed; the outcome does not depend on it."""
-    known = [ShutterCode(bits.ljust(problem.chips, "0")) for bits in OPTIMA if len(bits) <= problem.chips]
-    codes = [code for code in known if problem.allows(code)]
-    if problem.chips > len(OPTIMA[-1]) or codes[-1:] != known[-1:]:  # none is known to be the best
-        found = search_code(problem, rng=np.random.default_rng(0), steps=_START_STEPS, time_s=math.inf, threads=threads)
-        codes.append(found.code)
-    return core(max(codes, key=min_chip).bits).ljust(problem.chips, "0")
+    """Return a code to begin with, proven before or annealed; the outcome does not depend on it."""
+    found = search_code(problem, rng=np.random.default_rng(0), steps=_START_STEPS, time_s=math.inf, threads=threads)
+    return core(found.code.bits).ljust(problem.chips, "0")
 
 
 def _judge(

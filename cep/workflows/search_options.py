@@ -250,5 +250,5 @@ def ending(stopped: str, steps: int) -> str:
         "time": f"stopped by the time, {steps:,} moves made",
         "interrupted": "stopped by Ctrl-C",
         "complete": "no other code keeps the limits",
-        "proven": f"all {steps:.2g} codes counted",
+        "proven": f"all {steps:.2g} codes counted" if steps else "proven before",
     }[stopped]

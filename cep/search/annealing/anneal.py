@@ -15,6 +15,7 @@ from cep.optics.code import ShutterCode
 from cep.proofs.measure import CodeMetrics
 from cep.search.annealing.chains import Cooling, Crew, Walks
 from cep.search.annealing.polish import Polished, polish
+from cep.search.annealing.sweeps import Sweeps, sweep_tables, swept
 from cep.search.annealing.terms import lay_out
 from cep.search.objective import Objective, sample_count
 from cep.search.problem import SearchProblem
@@ -47,6 +48,7 @@ REHEATED = 0.6
 _ELITES = 32
 _POOL = 8  # of the best, from which walks start
 _STANDARD_WORK = 2**33  # moves times frequencies after which more rarely find a better code
+_SWEPT_MOVES = 2**29  # the same number for sweeps, which take the time of a sixteenth of other moves
 _LEAST_OF_MEAN = 2**16
 MOVES_SHARE = 0.9  # of the fraction done that is told: the rest is the polish
 
@@ -174,8 +176,15 @@ def anneal(
             crews = _crews(problem, coarse, free, threads)
             budget.began = time.monotonic()  # the samples of a class of motions may take longer than the whole limit
             round_number = 0
+            sweeping = swept(problem)
             while budget.left():
-                plans = _plans(problem, elites, budget.chain(round_number), rng, first=round_number == 0)
+                moves = budget.chain(round_number, longest=_LONGEST_SWEPT if sweeping else _LONGEST)
+                if sweeping:
+                    plans: list[Cooling | Walks | Sweeps] = [
+                        Sweeps(moves, int(one)) for one in rng.integers(1, 2**62, CHAINS)
+                    ]
+                else:
+                    plans = _plans(problem, elites, moves, rng, first=round_number == 0)
                 crews[round_number % len(crews)].run(plans, tick, elites.offer)
                 round_number += 1
             stopped = budget.stopped()
@@ -195,6 +204,8 @@ def anneal(
 
 def standard_moves(problem: SearchProblem) -> int:
     """Return the number of moves after which further ones rarely find a better code."""
+    if swept(problem):
+        return _SWEPT_MOVES
     columns = sample_count(problem, oversampling=_SEARCH_OVERSAMPLING)
     if problem.rule == "mean":  # every move is judged on every motion, and a class of them leaves few valleys
         return int(np.clip(_STANDARD_WORK // columns, _LEAST_OF_MEAN, 2**25))
@@ -220,12 +231,13 @@ def _crews(problem: SearchProblem, coarse: Objective, free: NDArray[np.intp], th
     """Return a crew for the objective; of a mix also one for each part, which judges a move many times as fast."""
     parts = [coarse.instead(name) for name, _ in problem.objective_mix]
     objectives = [coarse] if len(parts) == 1 else [*parts, coarse]
-    return [Crew(one.problem, lay_out(one), free, threads=threads) for one in objectives]
+    sweeping = sweep_tables(coarse) if swept(problem) else None
+    return [Crew(one.problem, lay_out(one), free, threads=threads, sweeping=sweeping) for one in objectives]
 
 
 def _plans(
     problem: SearchProblem, elites: _Elites, moves: int, rng: np.random.Generator, *, first: bool
-) -> list[Cooling | Walks]:
+) -> list[Cooling | Walks | Sweeps]:
     """Plan a round: chains that cool from the best so far and from anywhere, others that walk."""
     hot = hottest_db(problem)
     walks = 0
@@ -251,6 +263,7 @@ Stopped = Literal["steps", "time", "interrupted", "complete", "proven"]
 _Piece = TypeVar("_Piece")
 CHAINS = 8  # of a round: enough for most machines' cores, and the outcome must not depend on their number
 _SHORTEST, _LONGEST = 2**15, 2**22  # moves of a chain in the first and the last rounds
+_LONGEST_SWEPT = 2**26  # the same in sweeps
 _POLISH_SHARE, _POLISH_S = 0.1, 0.5  # of the time limit, or seconds if that is more: what the polish may take on top
 
 
@@ -281,9 +294,9 @@ class Budget:
         """Whether neither the moves nor the time is used up."""
         return self.elapsed() < self.time_s and (self.steps is None or self.done < self.steps)
 
-    def chain(self, round_number: int) -> int:
+    def chain(self, round_number: int, *, longest: int = _LONGEST) -> int:
         """Return the number of moves of each chain of a round."""
-        wanted: int = min(_SHORTEST << round_number, _LONGEST)
+        wanted: int = min(_SHORTEST << round_number, longest)
         if self.steps is not None:
             return min(wanted, -(-(self.steps - self.done) // CHAINS))
         if not self.done:

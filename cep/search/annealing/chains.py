@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from cep.compiled import compiled
 from cep.search.annealing.proposals import draw_any, draw_blocks, keeps_runs, uniform
 from cep.search.annealing.states import found_by, new_chain, own_tables, refresh, smallest_power
+from cep.search.annealing.sweeps import Sweeps, SweepTables, sweeps
 from cep.search.annealing.terms import (
     STEEP,
     Tables,
@@ -100,23 +101,31 @@ class Crew:
         Chips that may change.
     threads : int, optional
         As many as the processor has cores when omitted. The outcome does not depend on it.
+    sweeping : SweepTables, optional
+        For plans that sweep.
     """
 
     def __init__(
-        self, problem: SearchProblem, tables: Tables, free: NDArray[np.intp], *, threads: int | None = None
+        self,
+        problem: SearchProblem,
+        tables: Tables,
+        free: NDArray[np.intp],
+        *,
+        threads: int | None = None,
+        sweeping: SweepTables | None = None,
     ) -> None:
-        self._problem, self._tables, self._free = problem, tables, free.astype(np.int64)
+        self._problem, self._tables, self._free, self._sweeping = problem, tables, free.astype(np.int64), sweeping
         self._limits = limits_of(problem)
         self._threads = threads or os.cpu_count() or 1
 
     def run(
-        self, plans: Sequence[Cooling | Walks], tick: Callable[[int], bool], offer: Callable[[Codes], None]
+        self, plans: Sequence[Cooling | Walks | Sweeps], tick: Callable[[int], bool], offer: Callable[[Codes], None]
     ) -> None:
         """Run the plans, and offer the codes that each chain found best, in the plans' order, whatever ends them.
 
         Parameters
         ----------
-        plans : sequence of Cooling and Walks
+        plans : sequence of Cooling, Walks and Sweeps
         tick : callable
             Called about ten times a second with the moves made since the last call; False stops the chains. It may
             raise.
@@ -125,10 +134,9 @@ class Crew:
         """
         stop, made = Event(), [0] * len(plans)
 
-        def one(index: int, plan: Cooling | Walks) -> Codes:
-            steps = self._cooling(plan) if isinstance(plan, Cooling) else self._walks(plan)
+        def one(index: int, plan: Cooling | Walks | Sweeps) -> Codes:
             best: Codes = np.empty((0, self._problem.chips), np.int8)
-            for moves, codes in steps:
+            for moves, codes in self._steps(plan):
                 made[index] += moves
                 best = codes[self._problem.satisfied(codes)]
                 if stop.is_set():
@@ -151,6 +159,12 @@ class Crew:
                     offer(job.result())
             if (late := sum(made) - told) > 0:  # a stopped chain ends its slice first
                 tick(late)
+
+    def _steps(self, plan: Cooling | Walks | Sweeps) -> Iterator[tuple[int, Codes]]:
+        if isinstance(plan, Sweeps):
+            assert self._sweeping is not None
+            return sweeps(self._problem, self._sweeping, plan)
+        return self._cooling(plan) if isinstance(plan, Cooling) else self._walks(plan)
 
     def _cooling(self, plan: Cooling) -> Iterator[tuple[int, Codes]]:
         """Yield the moves made and the best codes after every slice."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import Minimum
 
-__all__ = ["BlockLog", "ExactResult", "LengthLog", "ProofLog"]
+__all__ = ["BlockLog", "BundledLog", "ExactResult", "LengthLog", "ProofLog"]
 
 
 @dataclass(frozen=True)
@@ -147,6 +147,40 @@ class BlockLog:
         return asdict(self)
 
 
+@dataclass(frozen=True, kw_only=True)
+class BundledLog:
+    """What a proof covers that was made before and comes with the package.
+
+    Attributes
+    ----------
+    chips : int
+        Most chips of the codes that it covers.
+    limits : dict
+    domain : str
+    file : str
+        The proof, or the page with its table, in the documentation.
+    bits : str
+        Best code.
+    lower, upper : float
+        The largest minimum lies between them.
+    judged : int
+        Codes judged in this run.
+    """
+
+    chips: int
+    limits: dict[str, int | str | None]
+    domain: str
+    file: str
+    bits: str
+    lower: float
+    upper: float
+    judged: int = 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give the log as JSON-ready data."""
+        return asdict(self)
+
+
 @dataclass(frozen=True)
 class ExactResult:
     """The best code of all, or the best so far.
@@ -156,7 +190,7 @@ class ExactResult:
     code : ShutterCode
     minimum : Minimum
         Of |P| on the unit circle in chips, or of |H| over the band along the worst of the problem's trajectories.
-    proof : ProofLog or BlockLog
+    proof : ProofLog, BlockLog or BundledLog
     seconds : float
     proven : bool
         Whether no code is better; False when interrupted.
@@ -164,6 +198,6 @@ class ExactResult:
 
     code: ShutterCode
     minimum: Minimum
-    proof: ProofLog | BlockLog
+    proof: ProofLog | BlockLog | BundledLog
     seconds: float
     proven: bool

@@ -1,0 +1,281 @@
+"""Annealing of the smallest |P| at a constant temperature, by sweeps over all partners of a chip, compiled.
+
+For one chip the swaps with every other chip, and its flip, are judged side by side, at the dips of |P| alone. A move
+that deepens a dip beyond what is accepted is refused there. So a move costs a few cycles of the processor, and the
+cost in full is summed for few of them. The temperature is low and does not fall: the number of good codes met grows
+with the number of moves, however they are divided into chains (docs/decisions/search.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.compiled import compiled, inlined
+from cep.optics.band import straight_axis
+from cep.search.annealing.proposals import uniform
+from cep.search.objective import Objective
+from cep.search.problem import SearchProblem
+
+__all__ = ["SweepTables", "Sweeps", "sweep", "sweep_tables", "sweeps", "swept"]
+
+Codes = NDArray[np.int8]
+Floats = NDArray[np.float32]
+_MOST_CHIPS = 64  # of a code: its moves are as many lanes of vector instructions
+_FREQUENCIES = 64  # at which the cost is summed
+_LANES = 16
+_TEMPERATURE_DB = 0.25  # of the mean eighth power
+_CHAIN, _SLICE = 2**21, 2**17  # moves from one random code, and until the OTF is summed anew
+_DIPS = 16  # frequencies at most at which moves are refused
+_SHALLOW = 3.0  # times the smallest |P|^2: dips above it refuse few moves
+_KEPT = 8  # last and best codes of a run, which are offered: an exact objective ranks them
+_TINY = np.float32(1e-9)  # of |H|^2: its fourth power must not overflow
+
+
+@dataclass(frozen=True)
+class Sweeps:
+    """Chains of sweeps one after the other, from random codes.
+
+    Attributes
+    ----------
+    moves : int
+        Moves to judge in all.
+    seed : int
+    """
+
+    moves: int
+    seed: int
+
+
+class SweepTables(NamedTuple):
+    """Tables of a problem for the compiled loop; F coarse frequencies, G fine ones.
+
+    Attributes
+    ----------
+    by_chip : (n, 2, F) float32
+        Change of the OTF, in chips, when a chip opens: real and imaginary parts.
+    by_frequency : (F, 2, lanes) float32
+        The same, with zeros after the last chip.
+    fine : (n, 2, G) float32
+    free : (n,) bool
+        Chips that may change.
+    low, high : int
+        Fewest and most open chips.
+    """
+
+    by_chip: Floats
+    by_frequency: Floats
+    fine: Floats
+    free: NDArray[np.bool_]
+    low: int
+    high: int
+
+
+def swept(problem: SearchProblem) -> bool:
+    """Whether sweeps search a problem: the smallest |H| one way along one straight motion, few chips, no run limits."""
+    return (
+        problem.chips <= _MOST_CHIPS
+        and [name for name, _ in problem.objective_mix] == ["min-mtf"]
+        and not problem.limits_runs
+        and problem.response is None
+        and (
+            not problem.scenarios
+            or (len(problem.ways()) == 1 and straight_axis(problem.scenarios[0].trajectory) is not None)
+        )
+    )
+
+
+def sweep_tables(objective: Objective) -> SweepTables:
+    """Lay out the samples of an objective of one part, every one of them and some."""
+    problem = objective.problem
+    fine = (problem.chips * objective.rows[:, 0]).astype(np.float32)
+    count = min(_FREQUENCIES, fine.shape[-1])
+    coarse = fine[:, :, np.linspace(0, fine.shape[-1] - 1, count).round().astype(int)]
+    lanes = -(-problem.chips // _LANES) * _LANES
+    turned = np.zeros((count, 2, lanes), np.float32)
+    turned[:, :, : problem.chips] = coarse.transpose(2, 1, 0)
+    free = np.zeros(problem.chips, np.bool_)
+    free[problem.free_chips] = True
+    low, high = problem.open_limits
+    return SweepTables(np.ascontiguousarray(coarse), turned, np.ascontiguousarray(fine), free, low, high)
+
+
+def sweeps(problem: SearchProblem, tables: SweepTables, plan: Sweeps) -> Iterator[tuple[int, Codes]]:
+    """Yield the moves made and the (R, n) best codes after every slice of chains from random codes."""
+    rng = np.random.default_rng(plan.seed)
+    random = np.array([int(rng.integers(1, 2**62)) | 1], dtype=np.uint64)
+    deepest, kept, done = np.zeros(1), np.empty((0, problem.chips), np.int8), 0
+    while done < plan.moves:
+        code = problem.random_codes(1, rng=rng)[0].astype(np.int8)
+        until = min(plan.moves, done + _CHAIN)
+        while done < until:
+            best, found = np.empty((_KEPT, problem.chips), np.int8), np.zeros(1, np.int64)
+            moves = sweep(tables, code, random, _TEMPERATURE_DB, min(_SLICE, until - done), deepest, best, found)
+            done += moves
+            kept = np.concatenate([kept, best[: found[0]]])[-_KEPT:]
+            yield moves, kept
+
+
+@inlined
+def _term_sum(by_chip: Floats, otf: Floats, a: int, b: int, s: np.float32, t: np.float32) -> np.float32:
+    """Sum of 1 / |P|^8 after the chips ``a`` and ``b`` have opened (1), closed (-1) or stayed (0)."""
+    one, total = np.float32(1), np.float32(0)
+    for f in range(otf.shape[1]):
+        x = otf[0, f] + s * by_chip[a, 0, f] + t * by_chip[b, 0, f]
+        y = otf[1, f] + s * by_chip[a, 1, f] + t * by_chip[b, 1, f]
+        term = one / (x * x + y * y + _TINY)
+        square = term * term
+        total += square * square
+    return total
+
+
+@inlined
+def _find_dips(otf: Floats, power: Floats, dips: NDArray[np.int64]) -> int:
+    """Find the frequencies of the deepest local minima of |P|^2, from the first on; returns their number."""
+    size = otf.shape[1]
+    lowest = np.float32(np.inf)
+    for f in range(size):
+        power[f] = otf[0, f] * otf[0, f] + otf[1, f] * otf[1, f]
+    for f in range(size):
+        lowest = min(lowest, power[f])
+    limit, count = np.float32(_SHALLOW) * lowest + _TINY, 0
+    for f in range(size):
+        if power[f] < limit and count < _DIPS:
+            left = power[f - 1] if f > 0 else power[1]
+            right = power[f + 1] if f < size - 1 else power[size - 2]
+            if power[f] <= left and power[f] < right:
+                dips[count] = f
+                count += 1
+    return count
+
+
+@compiled
+def sweep(
+    tables: Any,
+    code: Codes,
+    random: NDArray[np.uint64],
+    temperature: float,
+    moves: int,
+    deepest: NDArray[np.float64],
+    best: Codes,
+    found: NDArray[np.int64],
+) -> int:
+    """Judge ``moves`` moves or some more, at a constant temperature; returns their number.
+
+    Parameters
+    ----------
+    tables : SweepTables
+    code : (n,) int8
+        Changed in place.
+    random : (1,) uint64
+        State of the random numbers, not 0.
+    temperature : float, dB
+    moves : int
+    deepest : (1,) float64
+        Largest smallest |P|^2 on the fine samples yet; changed in place.
+    best : (R, n) int8
+        Filled with the last codes that raised it.
+    found : (1,) int64
+        How many codes were filled in.
+    """
+    by_chip, by_frequency, fine, free = tables.by_chip, tables.by_frequency, tables.fine, tables.free
+    chips, size, lanes = by_chip.shape[0], by_chip.shape[2], by_frequency.shape[2]
+    otf, power = np.zeros((2, size), np.float32), np.empty(size, np.float32)
+    signs, refused = np.zeros(lanes, np.float32), np.empty(lanes, np.int32)
+    dips = np.zeros(_DIPS, np.int64)
+    precise = np.empty((2, fine.shape[2]), np.float32)
+    opened = 0
+    for j in range(chips):
+        signs[j] = 1 - 2 * code[j]
+        opened += code[j]
+        if code[j]:
+            for f in range(size):
+                otf[0, f] += by_chip[j, 0, f]
+                otf[1, f] += by_chip[j, 1, f]
+    zero = np.float32(0)
+    cost = _term_sum(by_chip, otf, 0, 0, zero, zero)
+    count = _find_dips(otf, power, dips)
+    heat = temperature * np.log(10.0) / 2.5
+    made = 0
+    while made < moves:
+        made += chips
+        i = int(uniform(random) * chips)
+        limit = np.float32(cost * (1.0 - uniform(random)) ** -heat)
+        start = int(uniform(random) * chips)
+        if not free[i]:
+            continue
+        floor = np.float32(1.0 / np.sqrt(np.sqrt(limit)))
+        own = signs[i]
+        signs[i] = 0  # its lane is the flip alone
+        for j in range(lanes):
+            refused[j] = 0
+        for d in range(count):
+            f = dips[d]
+            x0, y0 = otf[0, f] + own * by_chip[i, 0, f], otf[1, f] + own * by_chip[i, 1, f]
+            real, imaginary = by_frequency[f, 0], by_frequency[f, 1]
+            for j in range(lanes):
+                x, y = x0 + signs[j] * real[j], y0 + signs[j] * imaginary[j]
+                refused[j] += x * x + y * y < floor
+        signs[i] = own
+        once = tables.low <= opened + int(own) <= tables.high
+        twice = tables.low <= opened + 2 * int(own) <= tables.high
+        for step in range(chips):
+            j = start + step
+            if j >= chips:
+                j -= chips
+            if refused[j] > 0 or not free[j]:
+                continue
+            other = signs[j] if j != i else zero
+            if other == zero:
+                if not once:
+                    continue
+            elif other == own and not twice:
+                continue
+            changed = _term_sum(by_chip, otf, i, j, own, other)
+            if changed > limit:
+                continue
+            cost = changed
+            for f in range(size):
+                otf[0, f] += own * by_chip[i, 0, f] + other * by_chip[j, 0, f]
+                otf[1, f] += own * by_chip[i, 1, f] + other * by_chip[j, 1, f]
+            code[i] = 1 - code[i]
+            signs[i] = -own
+            opened += int(own) + int(other)
+            if j != i:
+                code[j] = 1 - code[j]
+                signs[j] = -other
+            count = _find_dips(otf, power, dips)
+            lowest = np.float32(np.inf)
+            for d in range(count):
+                lowest = min(lowest, power[dips[d]])
+            if lowest > deepest[0]:  # the fine samples have the coarse ones among them
+                lowest = _fine_power(fine, code, precise)
+                if lowest > deepest[0]:
+                    if found[0] == best.shape[0]:
+                        for r in range(1, best.shape[0]):
+                            best[r - 1] = best[r]
+                        found[0] -= 1
+                    best[found[0]] = code
+                    found[0] += 1
+                    deepest[0] = lowest
+            break
+    return made
+
+
+@inlined
+def _fine_power(fine: Floats, code: Codes, otf: Floats) -> np.float32:
+    """Smallest |P|^2 of a code on the fine samples; ``otf`` (2, G) is work space."""
+    otf[:] = 0
+    for j in range(len(code)):
+        if code[j]:
+            for g in range(otf.shape[1]):
+                otf[0, g] += fine[j, 0, g]
+                otf[1, g] += fine[j, 1, g]
+    lowest = np.float32(np.inf)
+    for g in range(otf.shape[1]):
+        lowest = min(lowest, otf[0, g] * otf[0, g] + otf[1, g] * otf[1, g])
+    return lowest
