@@ -45,6 +45,7 @@ _WALKS_STRAIGHT, _WALKS_OTHERS = 6, 2  # chains of later rounds that walk instea
 _SHORT = 64  # chips up to which walks find better codes than cooling on straight motion
 MOST_SWAPS = 2**12  # chips up to which every neighbour is evaluated in each step
 REHEATED = 0.6
+_SWEPT = 0.28  # temperature of sweeps, over the hottest: docs/decisions/search.md
 _ELITES = 32
 _POOL = 8  # of the best, from which walks start
 _STANDARD_WORK = 2**33  # moves times frequencies after which more rarely find a better code
@@ -176,15 +177,10 @@ def anneal(
             crews = _crews(problem, coarse, free, threads)
             budget.began = time.monotonic()  # the samples of a class of motions may take longer than the whole limit
             round_number = 0
-            sweeping = swept(problem)
+            longest = _LONGEST_SWEPT if swept(problem) else _LONGEST
             while budget.left():
-                moves = budget.chain(round_number, longest=_LONGEST_SWEPT if sweeping else _LONGEST)
-                if sweeping:
-                    plans: list[Cooling | Walks | Sweeps] = [
-                        Sweeps(moves, int(one)) for one in rng.integers(1, 2**62, CHAINS)
-                    ]
-                else:
-                    plans = _plans(problem, elites, moves, rng, first=round_number == 0)
+                moves = budget.chain(round_number, longest=longest)
+                plans = _plans(problem, elites, moves, rng, first=round_number == 0)
                 crews[round_number % len(crews)].run(plans, tick, elites.offer)
                 round_number += 1
             stopped = budget.stopped()
@@ -238,8 +234,10 @@ def _crews(problem: SearchProblem, coarse: Objective, free: NDArray[np.intp], th
 def _plans(
     problem: SearchProblem, elites: _Elites, moves: int, rng: np.random.Generator, *, first: bool
 ) -> list[Cooling | Walks | Sweeps]:
-    """Plan a round: chains that cool from the best so far and from anywhere, others that walk."""
+    """Plan a round: sweeps, or chains that cool from the best so far and from anywhere, and others that walk."""
     hot = hottest_db(problem)
+    if swept(problem):
+        return [Sweeps(moves, _SWEPT * hot, int(seed)) for seed in rng.integers(1, 2**62, CHAINS)]
     walks = 0
     if not (first or problem.limits_runs or problem.chips**2 // 4 > MOST_SWAPS):
         straight = all(straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios)

@@ -28,7 +28,6 @@ Floats = NDArray[np.float32]
 _MOST_CHIPS = 64  # of a code: its moves are as many lanes of vector instructions
 _FREQUENCIES = 64  # at which the cost is summed
 _LANES = 16
-_TEMPERATURE_DB = 0.25  # of the mean eighth power
 _CHAIN, _SLICE = 2**21, 2**17  # moves from one random code, and until the OTF is summed anew
 _DIPS = 16  # frequencies at most at which moves are refused
 _SHALLOW = 3.0  # times the smallest |P|^2: dips above it refuse few moves
@@ -44,10 +43,12 @@ class Sweeps:
     ----------
     moves : int
         Moves to judge in all.
+    temperature_db : float
     seed : int
     """
 
     moves: int
+    temperature_db: float
     seed: int
 
 
@@ -114,7 +115,7 @@ def sweeps(problem: SearchProblem, tables: SweepTables, plan: Sweeps) -> Iterato
         until = min(plan.moves, done + _CHAIN)
         while done < until:
             best, found = np.empty((_KEPT, problem.chips), np.int8), np.zeros(1, np.int64)
-            moves = sweep(tables, code, random, _TEMPERATURE_DB, min(_SLICE, until - done), deepest, best, found)
+            moves = sweep(tables, code, random, plan.temperature_db, min(_SLICE, until - done), deepest, best, found)
             done += moves
             kept = np.concatenate([kept, best[: found[0]]])[-_KEPT:]
             yield moves, kept

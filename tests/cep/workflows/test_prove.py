@@ -72,9 +72,9 @@ def test_a_better_code_raises_the_bound_of_later_blocks(tmp_path, monkeypatch):
 
 def test_the_first_bound_is_the_best_known_code_within_the_limits():
     bits = module._first(SearchProblem(chips=23, open_range=(12, 12)), 1)
-    assert bits == OPTIMA[4] + "0"
-    assert (len(OPTIMA[4]), OPTIMA[4].count("1")) == (22, 12)
-    # none of the optima has as many as 20 open chips of 23: the annealing's code
+    assert bits == OPTIMA[4].bits + "0"
+    assert (len(OPTIMA[4].bits), OPTIMA[4].bits.count("1")) == (22, 12)
+    # no bundled code of 20 open chips has 23 chips or fewer: the annealing's code
     assert module._first(SearchProblem(chips=23, open_range=(20, 20)), 1).count("1") == 20
 
 

@@ -1,0 +1,98 @@
+"""Bundled proofs: the answer wherever they cover the problem, starts elsewhere, and never outside the limits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cep.optics.response import ShutterResponse
+from cep.proofs.certify.minimum import min_chip
+from cep.search.bundled import proven_optimum, proven_starts
+from cep.search.exhaustive.exact import exact
+from cep.search.limits import RunLimits
+from cep.search.problem import Scenario, SearchProblem
+from cep.search.recipe import search_code
+from motdiff.trajectory import Trajectory
+
+STRAIGHT = Trajectory.straight(30.0)
+LIMITED = {
+    "any light": SearchProblem(chips=17),
+    "a range of light": SearchProblem(chips=15, open_range=(6, 10)),
+    "fixed light": SearchProblem(chips=14, open_range=(5, 5)),
+    "the first chip closed": SearchProblem(chips=14, runs=RunLimits(fixed="0?????????????")),
+    "mirrored": SearchProblem(chips=13, runs=RunLimits(fixed="1010?????????")),
+    "few pulses": SearchProblem(chips=16, runs=RunLimits(max_pulses=5, max_open=5)),
+    "period": SearchProblem(chips=15, runs=RunLimits(min_period=2)),
+    "one chip": SearchProblem(chips=1),
+}
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_a_covered_problem_has_the_optimum_of_a_count_of_all_codes(name):
+    problem = LIMITED[name]
+    found = proven_optimum(problem)
+    assert found is not None
+    assert problem.allows(found.code)
+    assert found.proven
+    assert found.minimum.upper == pytest.approx(exact(problem).minimum.upper, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        SearchProblem(chips=13, open_range=(10, 12)),  # the light excludes the best code
+        SearchProblem(chips=13, runs=RunLimits(max_open=4)),
+        SearchProblem(chips=13, runs=RunLimits(fixed="0????????????")),
+        SearchProblem(chips=13, runs=RunLimits(min_open=2)),
+        SearchProblem(chips=49),  # no proof reaches so far
+        SearchProblem(chips=50, open_range=(28, 28)),  # 48 chips were proven, not 50
+        SearchProblem(chips=52, open_range=(25, 26)),
+        SearchProblem(chips=13, objective="noise"),
+        SearchProblem(chips=13, objective=(("min-mtf", 1.0), ("noise", 0.1))),
+        SearchProblem(chips=13, scenarios=(Scenario(STRAIGHT),)),  # the chip's roll-off counts
+    ],
+)
+def test_other_problems_are_not_covered(problem):
+    assert proven_optimum(problem) is None
+
+
+def test_starts_are_for_the_minimum_of_straight_motions_within_the_limits():
+    ramps = ShutterResponse(chip_ns=1000, rise_ns=500, fall_ns=300)
+    slowing = Trajectory.from_samples([[0, 0], [9, 0], [30, 0]], direction="unknown")
+    for problem in (
+        SearchProblem(chips=60),
+        SearchProblem.along(STRAIGHT, chips=52, open_range=(20, 26), response=ramps),
+        SearchProblem.along(slowing, chips=44, direction="unknown", runs=RunLimits(max_open=7)),
+        SearchProblem(chips=60, open_range=(24, 24), runs=RunLimits(fixed="0" * 9 + "?" * 51)),
+    ):
+        starts = proven_starts(problem)
+        assert starts
+        assert all(problem.allows(code) for code in starts)
+    bent = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
+    assert proven_starts(SearchProblem.along(bent, chips=40)) == []
+    assert proven_starts(SearchProblem(chips=40, objective="noise")) == []
+    assert proven_starts(SearchProblem(chips=40, open_range=(30, 40))) == []
+
+
+@pytest.mark.parametrize(
+    ("chips", "light", "least"), [(50, None, 2.244272), (60, (26, 26), 2.242268), (64, None, 2.244272)]
+)
+def test_a_search_never_returns_less_than_what_is_proven_for_fewer_chips(chips, light, least):
+    problem = SearchProblem(chips=chips, open_range=light)
+    found = search_code(problem, rng=np.random.default_rng(0), steps=100)
+    assert found.stopped != "proven"
+    assert min_chip(found.code) >= least
+
+
+def test_a_covered_search_makes_no_move_and_names_its_proof():
+    problem = SearchProblem(chips=52, open_range=(26, 26))
+    found = search_code(problem, rng=np.random.default_rng(0), steps=1000)
+    assert (found.stopped, found.steps, found.proof["file"]) == ("proven", 0, "docs/proofs/52-26.jsonl")
+    assert min_chip(found.code) == pytest.approx(2.242270, abs=2e-6)
+    assert "published: raskar-52" in {row.name for row in found.baselines}
+    assert all(row.cost_db >= found.objective for row in found.baselines if row.within_limits)
+    # where a device, as one of long openings, excludes the code, it is not used
+    slower = replace(problem, runs=RunLimits(min_open=2))
+    other = search_code(slower, rng=np.random.default_rng(0), steps=1000)
+    assert other.stopped == "steps"
+    assert slower.allows(other.code)
