@@ -35,6 +35,24 @@ def test_exact_proves_the_best_and_audit_confirms_it(cep, workplace):
     assert audited["verified"]["holds"]
 
 
+@pytest.mark.parametrize(("length_px", "direction"), [("13", "forward"), ("5.5", "unknown"), ("40", "unknown")])
+def test_what_is_proven_already_is_returned_with_its_proof(cep, workplace, length_px, direction):
+    asked = ("optimize", "--linear", length_px, "--chips", "13", "--objective", "min-mtf", "--direction", direction)
+    found = cep.succeeds(*asked, "--time", "600", "-o", "best.json")
+    assert (found["bits"], found["open"], found["stopped"], found["steps"]) == ("1111100110101", 9, "proven", 0)
+    assert (found["proven"], found["proof"], found["warnings"]) == (True, "docs/optima.md", [])
+    assert found["bound"] == pytest.approx(1.362373, abs=1e-5)
+    assert found["gap"] == pytest.approx(0, abs=1e-5)
+    assert found["certificate"]["unit"] == "chips"
+    assert read_code("best.json").problem["proof"]["file"] == "docs/optima.md"
+    assert cep.succeeds("audit", "best.json")["verified"]["holds"]
+    said = cep(*asked, "--force", "-o", "best.json").out
+    assert "proven (docs/optima.md): no code within the limits is better" in " ".join(said.split())
+    # a limit that excludes the code: it is searched
+    other = cep.succeeds(*asked, "--max-pulses", "3", "--steps", "500", "-o", "other.json")
+    assert (other["proven"], other["proof"]) == (False, None)
+
+
 def test_a_bound_of_zero_has_no_gap(cep, workplace):
     # P(-1) = 0 with both of two chips open
     asked = ("--linear", "4", "--chips", "2", "--open", "2", "--objective", "min-mtf", "--steps", "100")
