@@ -1,5 +1,6 @@
 """Trajectory files: exact round trips, and one clear line for every bad one."""
 
+import errno
 import json
 import re
 from pathlib import Path
@@ -133,11 +134,17 @@ def test_missing_file(tmp_path: Path) -> None:
         read_motion(tmp_path / "nowhere.json")
 
 
-def test_writing_leaves_the_old_file_when_it_fails(tmp_path: Path) -> None:
+def test_writing_leaves_the_old_file_when_it_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "t.json"
     write_text(path, "old")
-    with pytest.raises(UnicodeEncodeError):
-        write_text(path, "half \ud800")
+
+    def full(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as disk:
+        disk.setattr("os.fsync", full)
+        with pytest.raises(OSError, match="No space left"):
+            write_text(path, "new")
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["t.json"]
     with pytest.raises(FileNotFoundError):
