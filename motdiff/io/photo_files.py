@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from motdiff.io.inputs import regular_file
+from motdiff.io.jpeg_files import JPEG, jpeg_complete, jpeg_segments, jpeg_size
 from motdiff.io.tiff_files import TIFF, exif_orientation, photo_page
 
 __all__ = ["MOST_PX", "check_px", "is_animated", "orientation", "photo_bytes"]
@@ -15,11 +16,9 @@ __all__ = ["MOST_PX", "check_px", "is_animated", "orientation", "photo_bytes"]
 MOST_PX = 120_000_000
 """Pixels of the largest photo that is read: in colour 2.9 GB as float64, and restoring it takes several times that."""
 
-_JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _EXIF = b"Exif\0\0"  # before EXIF data in JPEG, and by mistake in some WebP files
 _MOST_BYTES = 2**31  # 120 megapixels of four 32-bit samples
-_FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # SOF0 to SOF15 without DHT, JPG and DAC
 
 
 def photo_bytes(path: Path | str) -> bytes:
@@ -53,8 +52,8 @@ def photo_bytes(path: Path | str) -> bytes:
         raise ValueError(f"{source}: the file is empty")
     if data.startswith(_PNG):
         complete, size = _png_complete(data), _png_size
-    elif data.startswith(_JPEG):
-        complete, size = _jpeg_complete(data), _jpeg_size
+    elif data.startswith(JPEG):
+        complete, size = jpeg_complete(data), jpeg_size
     elif data.startswith(TIFF):
         complete, size = True, _tiff_size  # what is cut off shows as it is decoded
     elif _is_webp(data):
@@ -110,12 +109,6 @@ def _png_chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
         at += 12 + length
 
 
-def _jpeg_complete(data: bytes) -> bool:
-    """Look for the end marker behind the first scan's header: a thumbnail's own end does not count."""
-    scan = next((end for marker, _, end in _jpeg_segments(data) if marker == 0xDA), None)
-    return scan is not None and data.find(b"\xff\xd9", scan) >= 0
-
-
 def _is_webp(data: bytes) -> bool:
     return data.startswith(b"RIFF") and data[8:12] == b"WEBP"
 
@@ -150,8 +143,8 @@ def is_animated(data: bytes) -> bool:
 def _exif(data: bytes) -> Iterator[bytes]:
     if data.startswith(_PNG):
         yield from (data[start:end] for kind, start, end in _png_chunks(data) if kind == b"eXIf")
-    elif data.startswith(_JPEG):
-        bodies = (data[start + 2 : end] for marker, start, end in _jpeg_segments(data) if marker == 0xE1)
+    elif data.startswith(JPEG):
+        bodies = (data[start + 2 : end] for marker, start, end in jpeg_segments(data) if marker == 0xE1)
         yield from (body for body in bodies if body.startswith(_EXIF))
     elif _is_webp(data):
         yield from (data[start:end] for kind, start, end in _webp_chunks(data) if kind == b"EXIF")
@@ -176,32 +169,12 @@ def _png_size(data: bytes) -> tuple[int, int]:
     return width, height
 
 
-def _jpeg_size(data: bytes) -> tuple[int, int]:
-    for marker, start, _ in _jpeg_segments(data):
-        if marker in _FRAME_MARKERS:
-            height, width = struct.unpack_from(">2H", data, start + 3)
-            return width, height
-    raise ValueError("no frame before the first scan")
-
-
-def _jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield marker, start and end of each segment's body (its length included) up to the first scan's header."""
-    at = 2
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        marker = data[at + 1]
-        if marker == 0xFF:  # padding before a marker
-            at += 1
-            continue
-        end = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-        yield marker, at + 2, end
-        if marker == 0xDA:
-            return
-        at = end
-
-
 def _tiff_size(data: bytes) -> tuple[int, int]:
-    page, _, _ = photo_page(data)
-    return page.size
+    try:
+        page, _, _ = photo_page(data)
+    except Exception as error:  # of many kinds
+        raise ValueError("no page can be read") from error
+    return page.imagewidth, page.imagelength
 
 
 def _webp_size(data: bytes) -> tuple[int, int]:

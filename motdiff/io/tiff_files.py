@@ -1,109 +1,51 @@
-"""Directories of TIFF files and of EXIF data: which page of a file is its photo, and how its samples are stored."""
+"""TIFF files by tifffile: which page is the photo, what is not read, and its samples as red green blue or grey."""
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from enum import IntEnum
-from typing import Literal
+import math
+from collections.abc import Iterator
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["TIFF", "Tag", "TiffPage", "exif_orientation", "photo_page"]
+import numpy as np
+from numpy.typing import NDArray
+
+from motdiff.io.jpeg_files import jpeg_complete, jpeg_size
+
+if TYPE_CHECKING:
+    from tifffile import TiffFile, TiffPage
+
+__all__ = ["TIFF", "channels", "exif_orientation", "photo_page", "refusal", "tiff_orientation"]
 
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 """First bytes of a TIFF file: either byte order, the last two BigTIFF."""
 
-_FORMATS = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}  # field types that hold unsigned integers
-_MOST_PAGES = 4096
+Samples = NDArray[Any]
+
+_MOST_FIELDS = 2**15  # of all directories, and what reading a directory takes counts as eight: half a second
+_MOST_DIRECTORY_BYTES = 2**23  # 120 megapixels in tiles of 16 px take less
+_LEAST_PX = 2**24  # a small image may be stored in one large tile
 _NO_PHOTO = 0b1101  # bits of NewSubfileType: reduced, mask, depth map; bit 1 is a page of several
-_TRANSPARENCY_MASK = 4  # photometric interpretation
+_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _MASK, _YCBCR = 0, 1, 2, 3, 4, 6
+_COLOURS = {5: "CMYK", 8: "CIELab", 32803: "a colour filter mosaic", 34892: "linear RAW"}
+_SAMPLES = {2: "integers with a sign", 3: "floating point", 5: "complex numbers", 6: "complex numbers"}
+_JPEG = 7
+_COMPRESSIONS = (1, 2, 3, 4, 5, _JPEG, 8, 32773, 32946, 34925, 50000)  # their decoders unpack no more than is wanted
+_MOST_CHANNELS = 8
+_ALPHA = (1, 2)  # extra samples: associated, unassociated
 
 
-class Tag(IntEnum):
-    """Fields of a directory that say how its image is stored."""
+class _Directories(BytesIO):
+    """A file of which a limited number of bytes is read: its directories may name the same bytes many times."""
 
-    NEW_SUBFILE_TYPE = 254
-    SUBFILE_TYPE = 255
-    WIDTH = 256
-    LENGTH = 257
-    BITS = 258
-    COMPRESSION = 259
-    PHOTOMETRIC = 262
-    FILL_ORDER = 266
-    STRIP_OFFSETS = 273
-    ORIENTATION = 274
-    SAMPLES = 277
-    ROWS_PER_STRIP = 278
-    STRIP_BYTES = 279
-    PLANES = 284
-    PREDICTOR = 317
-    TILE_WIDTH = 322
-    TILE_LENGTH = 323
-    TILE_OFFSETS = 324
-    TILE_BYTES = 325
-    SUB_DIRECTORIES = 330
-    EXTRA_SAMPLES = 338
-    SAMPLE_FORMAT = 339
-    DEPTH = 32997
+    limit: float = _MOST_DIRECTORY_BYTES
 
-
-_TAGS = frozenset(Tag)
-
-
-@dataclass(frozen=True)
-class TiffPage:
-    """A directory of a TIFF file (TIFF 6.0, section 2; BigTIFF).
-
-    Attributes
-    ----------
-    order : {"<", ">"}
-        Byte order of the file.
-    offset : int
-        Of the directory, bytes.
-    large : bool
-        Whether offsets have 8 bytes (BigTIFF).
-    values : mapping of int to tuple of int
-        Of each tag about the image.
-    places : mapping of int to (int, str)
-        Of each of these tags: where its first value stands in the file, and its format for :mod:`struct`.
-    """
-
-    order: Literal["<", ">"]
-    offset: int
-    large: bool
-    values: Mapping[int, tuple[int, ...]]
-    places: Mapping[int, tuple[int, str]]
-
-    def value(self, tag: int, default: int) -> int:
-        """First value of a tag."""
-        return self.values.get(tag, (default,))[0]
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height, px; 0 where one is missing."""
-        return self.value(Tag.WIDTH, 0), self.value(Tag.LENGTH, 0)
-
-    @property
-    def is_photo(self) -> bool:
-        """Whether it is said to be neither a reduced image nor a mask nor a depth map."""
-        reduced = self.value(Tag.NEW_SUBFILE_TYPE, 0) & _NO_PHOTO or self.value(Tag.SUBFILE_TYPE, 1) == 2
-        return not reduced and self.value(Tag.PHOTOMETRIC, 1) != _TRANSPARENCY_MASK
-
-    @property
-    def orientation(self) -> int:
-        """How it is turned upright, 1 to 8 (TIFF 6.0, section 8); 1, as it is, where nothing valid is said."""
-        orientation = self.value(Tag.ORIENTATION, 1)
-        return orientation if 1 <= orientation <= 8 else 1
-
-    def as_first(self, data: bytes, changes: Mapping[Tag, int]) -> bytes:
-        """Copy a file's bytes so that this is its first page, with other first values of some of its tags."""
-        copy = bytearray(data)
-        struct.pack_into(self.order + ("Q" if self.large else "I"), copy, 8 if self.large else 4, self.offset)
-        for tag, value in changes.items():
-            if tag in self.places:
-                place, form = self.places[tag]
-                struct.pack_into(self.order + form, copy, place, value)
-        return bytes(copy)
+    def read(self, size: int | None = -1, /) -> bytes:
+        piece = super().read(size)
+        self.limit -= len(piece)
+        if self.limit < 0:
+            raise ValueError("the directories of the file are too long")
+        return piece
 
 
 def photo_page(data: bytes) -> tuple[TiffPage, int, int]:
@@ -111,89 +53,153 @@ def photo_page(data: bytes) -> tuple[TiffPage, int, int]:
 
     Returns
     -------
-    page, number, pages : TiffPage, int, int
+    page, number, pages : tifffile.TiffPage, int, int
         The largest photo, the first of equals; its number, from 1; how many there are.
 
     Raises
     ------
-    ValueError, struct.error
-        If the file is damaged or cut short.
+    Exception
+        Of any kind, if the file is damaged or cut short.
     """
-    pages: list[TiffPage] = []
+    stream = _Directories(data)
+    pages: dict[int, TiffPage] = {}
+    fields = 0
     try:
-        pages.extend(_pages(data))
-    except (struct.error, ValueError):
-        if not any(page.is_photo for page in pages):
+        for page in _pages(_opened(stream)):
+            fields += 8 + len(page.tags)
+            if fields > _MOST_FIELDS:
+                break
+            if min(page.imagewidth, page.imagelength) > 0:
+                pages.setdefault(page.offset, page)
+    except Exception:  # what follows a photo, and is damaged, does not matter
+        if not any(_is_photo(page) for page in pages.values()):
             raise
-    photos = [page for page in pages if page.is_photo] or pages
-    if not photos:
-        raise ValueError("no page has a width and a height")
-    areas = [page.size[0] * page.size[1] for page in photos]
+    stream.limit = math.inf
+    photos = [page for page in pages.values() if _is_photo(page)] or [*pages.values()]
+    areas = [page.imagewidth * page.imagelength for page in photos]
     largest = areas.index(max(areas))
     return photos[largest], largest + 1, len(photos)
 
 
+def _opened(stream: BytesIO) -> TiffFile:
+    import logging
+
+    from tifffile import TiffFile
+
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # it prints what it finds wrong
+    # what microscopes add, as frames that no directory describes, is left alone
+    return TiffFile(stream, is_lsm=False, is_scanimage=False, is_ndpi=False)
+
+
+def _pages(file: TiffFile) -> Iterator[Any]:
+    """Yield the pages of the file's chain, then those below them."""
+    chain = []
+    for page in file.pages:
+        chain.append(page)
+        yield page
+    for page in chain:
+        yield from page.pages or ()
+
+
+def _is_photo(page: TiffPage) -> bool:
+    return not page.subfiletype & _NO_PHOTO and page.photometric != _MASK
+
+
+def tiff_orientation(page: TiffPage) -> int:
+    """How a page is turned upright, 1 to 8 (TIFF 6.0, section 8); 1, as it is, where nothing valid is said."""
+    orientation = page.tags.valueof(274)
+    return int(orientation) if orientation in range(1, 9) else 1
+
+
 def exif_orientation(exif: bytes) -> int:
-    """Orientation in EXIF data; 1, as it is, where there is none or the data are damaged."""
+    """Orientation in EXIF data, a TIFF file without an image; 1, as it is, where there is none or they are damaged."""
     try:
-        page, _ = _directory(exif, *_header(exif))
-    except (struct.error, ValueError):
+        return tiff_orientation(_opened(_Directories(exif)).pages.first) if exif else 1
+    except Exception:  # of many kinds
         return 1
-    return page.orientation
 
 
-def _header(data: bytes) -> tuple[Literal["<", ">"], bool, int]:
-    """Byte order, whether offsets have 8 bytes, and offset of the first directory."""
-    if not data.startswith(TIFF):
-        raise ValueError("no TIFF header")
-    order: Literal["<", ">"] = "<" if data[:2] == b"II" else ">"
-    large = data[2:4] in (b"+\0", b"\0+")
-    (first,) = struct.unpack_from(order + ("Q" if large else "I"), data, 8 if large else 4)
-    return order, large, first
+def _photometric(page: TiffPage) -> int:
+    return int(page.photometric) if 262 in page.tags else _RGB if page.samplesperpixel >= 3 else _BLACK_IS_ZERO
 
 
-def _pages(data: bytes) -> Iterator[TiffPage]:
-    """Yield the directories with an image: those of the file's chain, then those below them."""
-    order, large, offset = _header(data)
-    below: list[int] = []
-    seen: set[int] = set()
-    while offset and offset not in seen and len(seen) < _MOST_PAGES:
-        seen.add(offset)
-        page, offset = _directory(data, order, large, offset)
-        below += page.values.get(Tag.SUB_DIRECTORIES, ())[:_MOST_PAGES]
-        if min(page.size):
-            yield page
-    if not seen:
-        raise ValueError("no directory")
-    for offset in below[:_MOST_PAGES]:
-        page, _ = _directory(data, order, large, offset)
-        if min(page.size):
-            yield page
+def refusal(page: TiffPage) -> str:
+    """Why a page is not read, and what would be; empty if it is read."""
+    from tifffile import PHOTOMETRIC, TIFF
+
+    photometric, samples, bits = _photometric(page), page.samplesperpixel, page.bitspersample
+    compression, kind = int(page.compression), int(page.sampleformat)
+    if photometric not in (_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR):
+        names = {colours.value: colours.name for colours in PHOTOMETRIC} | _COLOURS
+        return f"its colours are {names.get(photometric, f'of kind {photometric}')}, save it as RGB or grey"
+    if compression not in _COMPRESSIONS or compression not in TIFF.DECOMPRESSORS:
+        method = getattr(page.compression, "name", f"method {compression}")
+        return f"is compressed by {method}, save it uncompressed, or by LZW or Deflate"
+    if page.imagedepth > 1:
+        return f"is a volume of {page.imagedepth} layers, save one of them as a photo"
+    if samples > _MOST_CHANNELS:
+        return f"has {samples} channels, save those of red, green and blue, or one of them"
+    alpha = sum(sample in _ALPHA for sample in page.extrasamples)
+    if photometric in (_WHITE_IS_ZERO, _BLACK_IS_ZERO) and samples - alpha > 1:
+        return f"has {samples - alpha} channels of no colour, save one of them, or three as RGB"
+    if photometric in (_RGB, _YCBCR) and samples < 3:
+        return f"has {samples} channels for red, green and blue, save it as RGB or grey"
+    if isinstance(bits, tuple):
+        return "its channels differ in kind, save it with 8 or 16 bits in each"
+    if not (bits in (16, 32, 64) if kind == 3 else kind not in _SAMPLES and 1 <= bits <= 16):
+        return f"has {bits}-bit {_SAMPLES.get(kind, 'integers')}, save it as 8 or 16 bit, or as floating point of 32"
+    if photometric == _YCBCR and (bits != 8 or (page.is_subsampled and compression != _JPEG)):
+        return "its colours are YCbCr of fewer samples than pixels, or not of 8 bits; save it as RGB or grey"
+    return ""
 
 
-def _directory(data: bytes, order: Literal["<", ">"], large: bool, offset: int) -> tuple[TiffPage, int]:
-    """Read one directory, and the offset of the next."""
-    word, counter, head = ("Q", "Q", "HHQ") if large else ("I", "H", "HHI")
-    values: dict[int, tuple[int, ...]] = {}
-    places: dict[int, tuple[int, str]] = {}
-    (entries,) = struct.unpack_from(order + counter, data, offset)
-    at = offset + struct.calcsize(order + counter)
-    inline = struct.calcsize(order + word)
-    length = struct.calcsize(order + head) + inline
-    if at + entries * length > len(data):
-        raise ValueError("the directory is cut short")
-    for entry in range(at, at + entries * length, length):
-        tag, kind, count = struct.unpack_from(order + head, data, entry)
-        form = _FORMATS.get(kind)
-        if tag not in _TAGS or form is None or not count:
-            continue
-        place = entry + length - inline
-        if count * struct.calcsize(order + form) > inline:
-            (place,) = struct.unpack_from(order + word, data, place)
-        if place + count * struct.calcsize(order + form) > len(data):
-            raise ValueError("a field of the directory is cut short")
-        values[tag] = struct.unpack_from(f"{order}{count}{form}", data, place)
-        places[tag] = (place, form)
-    end = at + entries * length
-    following = struct.unpack_from(order + word, data, end)[0] if end + inline <= len(data) else 0
-    return TiffPage(order, offset, large, values, places), following
+def channels(page: TiffPage) -> tuple[Samples, Samples]:
+    """Read the samples of a page that is not refused: (H, W) or (H, W, 3), 0 is black, and what is beside them.
+
+    Returns
+    -------
+    colours : (H, W) or (H, W, 3) array of uint8, uint16 or floating point
+        Grey, or red green blue; not turned upright.
+    others : (H, W, C) array
+
+    Raises
+    ------
+    Exception
+        Of any kind, if the file is damaged or cut short.
+    """
+    _check_segments(page)
+    photometric, bits = _photometric(page), page.bitspersample
+    samples = page.asarray(squeeze=False)[:, 0]  # planes, rows, columns, channels that are stored together
+    samples = samples[0] if len(samples) == 1 else np.moveaxis(samples[:, :, :, 0], 0, 2)
+    if photometric == _PALETTE:
+        palette = (np.asarray(page.colormap) >> 8).astype(np.uint8).T
+        return palette[samples[:, :, 0].astype(np.uint16)], samples[:, :, 1:]
+    if bits % 8:
+        full, largest = (255 if bits < 8 else 65535), 2**bits - 1
+        unsigned = np.dtype(f"u{samples.itemsize}")
+        samples = ((np.arange(2**bits) * full + largest // 2) // largest).astype(unsigned)[samples.view(unsigned)]
+    if photometric == _WHITE_IS_ZERO:
+        samples = (1 if samples.dtype.kind == "f" else np.iinfo(samples.dtype).max) - samples
+    if photometric == _YCBCR and (page.compression != _JPEG or page.planarconfig == 2):  # else it is RGB already
+        import cv2
+
+        return cv2.cvtColor(samples[:, :, [0, 2, 1]], cv2.COLOR_YCrCb2RGB), samples[:, :, 3:]
+    if photometric in (_RGB, _YCBCR):
+        return samples[:, :, :3], samples[:, :, 3:]
+    return samples[:, :, 0], samples[:, :, 1:]
+
+
+def _check_segments(page: TiffPage) -> None:
+    """Check strips or tiles: those that are missing would be black, and those of a small file may be gigabytes."""
+    file, number, px = page.parent.filehandle, math.prod(page.chunked), math.prod(page.chunks)
+    segments = [*zip(page.dataoffsets, page.databytecounts, strict=False)][:number]
+    if len(segments) != number or not all(0 < offset < offset + length <= file.size for offset, length in segments):
+        raise ValueError("a strip or tile is missing or cut short")
+    packed = sum(length for _, length in segments)
+    if number * px > 2 * page.size + _LEAST_PX or packed > file.size + 2 * page.nbytes or page.jpegheader:
+        raise ValueError("strips or tiles are larger than the image")
+    for offset, length in segments if page.compression == _JPEG else ():
+        file.seek(offset)
+        jpeg = file.read(length)
+        if not jpeg_complete(jpeg) or math.prod(jpeg_size(jpeg)) > 2 * px + _LEAST_PX:
+            raise ValueError("a strip or tile is damaged")

@@ -1,10 +1,12 @@
 """Samples of TIFF files: right whatever the tags say, or refused in one line that says what would be right."""
 
 import struct
+import tracemalloc
 import zlib
 from io import BytesIO
 
 import cv2
+import imagecodecs
 import numpy as np
 import pytest
 import tifffile
@@ -46,7 +48,7 @@ def bits_packed(values, bits, *, photometric, compress):
 @pytest.mark.parametrize("channels", [1, 3, 4])
 @pytest.mark.parametrize("separate", [False, True])
 @pytest.mark.parametrize("storage", [{}, {"rowsperstrip": 10}, {"tile": (16, 32)}])
-@pytest.mark.parametrize("compression", [None, "adobe_deflate", "lzma"])
+@pytest.mark.parametrize("compression", [None, "adobe_deflate", "lzma", "zstd"])
 def test_layouts_of_the_same_picture_are_the_same(kind, channels, separate, storage, compression):
     image = samples(kind, channels)
     whole = compression and not kind.startswith("f")
@@ -152,9 +154,10 @@ REFUSED = {
     "uint32": (tiff(SCENE[:, :, 0].astype(np.uint32)), "32-bit integers, save.*floating point of 32"),
     "complex": (tiff(SCENE[:, :, 0].astype(np.complex64)), "complex numbers"),
     "volume": (tiff(SCENE, volumetric=True, tile=(16, 16, 16), photometric="minisblack"), "37 layers"),
-    "ZSTD": (
-        tiff(SCENE[:, :, 0]).replace(struct.pack("<HHII", 259, 3, 1, 1), struct.pack("<HHII", 259, 3, 1, 50000)),
-        "ZSTD, save it uncompressed",
+    "JPEG XL": (tiff(SCENE[:, :, 0], compression="jpegxl"), "JPEGXL, save it uncompressed"),
+    "unknown": (
+        tiff(SCENE[:, :, 0]).replace(struct.pack("<HHII", 259, 3, 1, 1), struct.pack("<HHII", 259, 3, 1, 60000)),
+        "method 60000, save it uncompressed",
     ),
 }
 
@@ -184,22 +187,61 @@ def test_a_strip_that_is_missing_is_damage_and_no_black(compression):
             decode(bytes(broken), "photo.tif")
 
 
-def test_a_strip_is_not_unpacked_beyond_its_size():
-    """A strip of zeros unpacks to 200 MB, of which 2 kB are its own."""
-    import tracemalloc
-
-    data = tiff(SCENE[:, :, 0], compression="adobe_deflate")
+def with_strip(data, strip):
+    """Put other bytes in the place of a file's first strip or tile."""
     page = tifffile.TiffFile(BytesIO(data)).pages[0]
-    bomb = zlib.compress(bytes(200_000_000))
     patched = bytearray(data)
-    for tag, value in ((273, len(data)), (279, len(bomb))):
-        field = page.tags[tag]
+    for field, value in (
+        (page.tags.get(324) or page.tags[273], len(data)),
+        (page.tags.get(325) or page.tags[279], len(strip)),
+    ):
         struct.pack_into("<" + field.dataformat[-1], patched, field.valueoffset, value)
+    return bytes(patched) + strip
+
+
+def jpeg_of(width, height):
+    """A small JPEG whose frame's header says another size."""
+    data = bytearray(cv2.imencode(".jpg", SCENE[:, :, 0])[1].tobytes())
+    struct.pack_into(">2H", data, data.index(b"\xff\xc0") + 5, height, width)
+    return bytes(data)
+
+
+BOMBS = {
+    "a strip of Deflate": with_strip(
+        tiff(SCENE[:, :, 0], compression="adobe_deflate"), zlib.compress(bytes(200_000_000))
+    ),
+    "a strip of ZSTD": with_strip(
+        tiff(SCENE[:, :, 0], compression="zstd"), imagecodecs.zstd_encode(bytes(200_000_000))
+    ),
+    "a large tile": with_strip(
+        tiff(SCENE[:, :, 0], compression="adobe_deflate", tile=(65_520, 65_520)), zlib.compress(bytes(1000))
+    ),
+    "a large JPEG": with_strip(tiff(SCENE[:, :, 0], compression="jpeg"), jpeg_of(65_500, 65_500)),
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_a_strip_or_tile_that_unpacks_to_much_more_than_its_image_is_damage(bomb):
     tracemalloc.start()
     try:
-        image, _ = decode(bytes(patched) + bomb, "photo.tif")
+        with pytest.raises(ValueError, match=r"^photo\.tif: the image is damaged or cut short"):
+            decode(BOMBS[bomb], "photo.tif")
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert not image.any()
     assert peak < 5e6
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9, 0.99])
+@pytest.mark.parametrize("compression", [None, "adobe_deflate", "lzma", "zstd", "jpeg"])
+def test_a_file_whose_last_strips_are_cut_off_is_refused(share, compression):
+    data = tiff(SCENE[:, :, :3], photometric="rgb", rowsperstrip=16, compression=compression)
+    with pytest.raises(ValueError, match="damaged or cut short"):
+        decode(data[: int(share * len(data))], "photo.tif")
+
+
+def test_samples_of_reversed_bits_are_read():
+    reversed_bits = np.packbits(np.unpackbits(SCENE[:, :, :1], axis=2), axis=2, bitorder="little")[:, :, 0]
+    unit, fill_order = struct.pack("<HHII", 296, 3, 1, 1), struct.pack("<HHII", 266, 3, 1, 2)
+    data = tiff(reversed_bits).replace(unit, fill_order)
+    np.testing.assert_array_equal(decode(data, "photo.tif")[0], SCENE[:, :, 0])

@@ -1,8 +1,14 @@
 """Pages of TIFF files: the photo is read, and not its preview; where there are several photos, that is told."""
 
 import re
+import struct
+import subprocess
+import sys
+import tracemalloc
+from contextlib import suppress
 from io import BytesIO
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -74,3 +80,66 @@ def test_what_follows_a_photo_and_is_damaged_does_not_matter():
     following = page.offset + 2 + 12 * len(page.tags)
     data[following : following + 4] = (2**31).to_bytes(4, "little")
     np.testing.assert_array_equal(decode(bytes(data), "photo.tif")[0], PHOTO)
+
+
+def directory(*fields, following=0):
+    """Directory of fields of one tag, type, count and value each."""
+    entries = b"".join(struct.pack("<HHII", *field) for field in fields)
+    return struct.pack("<H", len(fields)) + entries + struct.pack("<I", following)
+
+
+PAGE = [(256, 4, 1, 56), (257, 4, 1, 40), (258, 3, 1, 8), (273, 4, 1, 8), (279, 4, 1, 40 * 56)]
+CROWD = (PAGE * 820)[:4096]
+END = 8 + 2 + 12 * len(CROWD) + 4
+HOSTILE = {
+    "a page of many fields that follows itself": directory(*CROWD, following=8),
+    "many pages of many fields": b"".join(directory(*CROWD, following=8 + at * (END - 8)) for at in range(1, 40)),
+    "many fields of the same million offsets": directory(*[(273, 3, 10**6, END)] * 4096) + bytes(2 * 10**6),
+    "a million pages below one": directory(*CROWD[:-1], (330, 4, 10**6, END)) + (8).to_bytes(4, "little") * 10**6,
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_directories_made_to_keep_a_reader_busy_end(kind):
+    data = b"II*\0" + struct.pack("<I", 8) + HOSTILE[kind]
+    parsed = 0
+
+    def count(frame, event, argument):
+        nonlocal parsed
+        parsed += event == "call" and frame.f_code.co_name == "fromfile"  # of each field
+
+    tracemalloc.start()
+    sys.setprofile(count)
+    try:
+        with suppress(ValueError):
+            decode(data, "photo.tif")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        sys.setprofile(None)
+        tracemalloc.stop()
+    assert parsed < 50_000
+    assert peak < 400e6
+
+
+def test_what_the_library_has_to_say_is_not_printed(capfd):
+    data = written((PHOTO, {"extratags": [(42113, 2, 4, "none", True)]}))  # a missing value that is no number
+    tifffile.TiffFile(BytesIO(data)).pages[0]
+    decode(data, "photo.tif")
+    with pytest.raises(ValueError, match="damaged"):
+        decode(data[:200], "photo.tif")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_library_is_loaded_for_tiff_files_alone(tmp_path):
+    for suffix in (".png", ".tif"):
+        cv2.imwrite(str(tmp_path / f"photo{suffix}"), PHOTO)
+    program = """
+import sys
+from motdiff.io.decoding import decode
+from motdiff.io.photo_files import photo_bytes
+decode(photo_bytes(sys.argv[1]), "photo")
+print("tifffile" in sys.modules)
+"""
+    for suffix, loaded in ((".png", "False"), (".tif", "True")):
+        command = [sys.executable, "-c", program, str(tmp_path / f"photo{suffix}")]
+        assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() == loaded

@@ -1,0 +1,49 @@
+"""Segments of JPEG data: size of the frame, completeness, and what is stored before the first scan."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+
+__all__ = ["JPEG", "jpeg_complete", "jpeg_segments", "jpeg_size"]
+
+JPEG = b"\xff\xd8\xff"
+"""First bytes of JPEG data."""
+
+_FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # SOF0 to SOF15 without DHT, JPG and DAC
+
+
+def jpeg_complete(data: bytes) -> bool:
+    """Look for the end marker behind the first scan's header: a thumbnail's own end does not count."""
+    scan = next((end for marker, _, end in jpeg_segments(data) if marker == 0xDA), None)
+    return scan is not None and data.find(b"\xff\xd9", scan) >= 0
+
+
+def jpeg_size(data: bytes) -> tuple[int, int]:
+    """Width and height of the frame, px.
+
+    Raises
+    ------
+    ValueError, struct.error
+        If there is no frame before the first scan.
+    """
+    for marker, start, _ in jpeg_segments(data):
+        if marker in _FRAME_MARKERS:
+            height, width = struct.unpack_from(">2H", data, start + 3)
+            return width, height
+    raise ValueError("no frame before the first scan")
+
+
+def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield marker, start and end of each segment's body (its length included) up to the first scan's header."""
+    at = 2
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker == 0xFF:  # padding before a marker
+            at += 1
+            continue
+        end = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        yield marker, at + 2, end
+        if marker == 0xDA:
+            return
+        at = end
