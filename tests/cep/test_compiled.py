@@ -59,6 +59,18 @@ def test_the_folder_is_this_users_alone(package, tmp_path):
         os.umask(umask)
 
 
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="Windows has no such modes")
+def test_users_whose_group_may_write_what_they_make_keep_their_code(package, tmp_path):
+    """The umask of Red Hat's and many other systems, where each user has a group of his own."""
+    otherwise = tmp_path / "cache" / "elsewhere"
+    umask = os.umask(0o002)
+    try:
+        (package / "__pycache__").mkdir()
+        assert kept_folder(package, otherwise=otherwise).parent == otherwise
+    finally:
+        os.umask(umask)
+
+
 LOOP = """
 import sys
 from cep.compiled import compiled, _cache_folder
