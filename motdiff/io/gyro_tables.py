@@ -196,6 +196,8 @@ def _ordered(rows: list[_Row], path: Path | str, time_unit: TimeUnit | None) -> 
     clocks = {place: step for place in range(width) if (step := _clock_step(rows, place, time_unit)) is not None}
     counters = [place for place, step in clocks.items() if step >= _LEAST_US]  # no rate changes by so much
     likely = (counters or list(clocks)) if len(rows) >= _FEWEST_ROWS else [*clocks][:1]
+    if not likely:
+        _check_first_rises(rows, path)
     time = likely[0] if likely else 0
     if len(likely) > 1 and not (counters and time == 0):
         which = " and ".join(str(place + 1) for place in likely)
@@ -209,6 +211,16 @@ def _ordered(rows: list[_Row], path: Path | str, time_unit: TimeUnit | None) -> 
     names = tuple(f"column {place + 1}" for place in range(width))
     assumed = f"{names[time]} is the time, columns {x + 1}, {y + 1}, {z + 1} the rates about x, y, z"
     return _Columns((time, x, y, z), names, assumed=assumed)
+
+
+def _check_first_rises(rows: list[_Row], path: Path | str) -> None:
+    """Refuse a table whose first column is no time while another rises, in a unit that its steps do not tell."""
+    rising = [place for place in range(len(rows[0][1])) if _clock_step(rows, place, "ms") is not None]
+    if rising and rising[0] > 0:
+        raise ValueError(
+            f"{path}: column {rising[0] + 1} rises as a time does, and the first one does not; a header such as "
+            "wx,wy,wz,t_ms must name them, and the unit of the time"
+        )
 
 
 def _clock_step(rows: list[_Row], place: int, time_unit: TimeUnit | None) -> float | None:

@@ -340,6 +340,12 @@ def test_without_a_header_columns_that_could_be_others_are_not_guessed_at(tmp_pa
         read_gyro(path)
 
 
+def test_without_a_header_a_late_column_of_milliseconds_is_refused_for_what_it_is(tmp_path: Path) -> None:
+    path = write(tmp_path / "gyro.csv", "", "{x},{y},{z},{t}", per_s=1e3, decimals=0)
+    with pytest.raises(ValueError, match="column 4 rises as a time does, .* first one does not; .*t_ms must name them"):
+        read_gyro(path)
+
+
 HEADS = {
     "ArduPilot": ("TimeUS,I,GyrX,GyrY,GyrZ,AccX\n", "{t},0,{x},{y},{z},9.8", 1e6),
     "PX4": ("timestamp,gyro_rad[0],gyro_rad[1],gyro_rad[2],gyro_integral_dt\n", "{t},{x},{y},{z},4000", 1e6),
