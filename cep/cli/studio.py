@@ -52,7 +52,7 @@ def studio(
 
         written = take_apart(file, extract, force=force)
         finish({"files": written, "seed": seed}, as_json=as_json, show=lambda console: console.print(
-            "\n".join(map(str, written))
+            *map(str, written), sep="\n"
         ))  # fmt: skip
         return
     try:

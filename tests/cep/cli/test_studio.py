@@ -86,6 +86,8 @@ def extracted(cep, saved, **changes):
     cep("studio", saved, "--extract", "design")
     design = saved.parent / "design"
     if cep.code == 0:
+        files = [str(Path("design") / name) for name in ("trajectory.json", "code.json", "commands.sh")]
+        assert [line.strip() for line in cep.out.splitlines()][-3:] == files
         return (design / "commands.sh").read_text().splitlines()
     assert cep.code == 2
     assert cep.err.count("\n") == 1
