@@ -84,7 +84,8 @@ def kept_folder(package: Path, *, otherwise: Path | None) -> Path | None:
 def _is_writable(folder: Path) -> bool:
     """Whether files can be written into a folder, which is made where it is missing, for this user alone."""
     try:
-        folder.parent.mkdir(mode=0o755, parents=True, exist_ok=True)  # also of users whose umask lets their group write
+        # the parent too: the umask of many systems lets the user's group write
+        folder.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return True
