@@ -15,7 +15,7 @@ from cep.optics.code import ShutterCode
 from cep.proofs.measure import CodeMetrics
 from cep.search.annealing.chains import Cooling, Crew, Walks
 from cep.search.annealing.polish import Polished, polish
-from cep.search.annealing.sweeps import Sweeps, sweep_tables, swept
+from cep.search.annealing.sweeps import Sweeps, SweepTables, sweep_tables, swept
 from cep.search.annealing.terms import lay_out
 from cep.search.objective import Objective, sample_count
 from cep.search.problem import SearchProblem
@@ -37,7 +37,7 @@ __all__ = [
 
 Codes = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
-_SEARCH_OVERSAMPLING = 8  # coarse: the polish uses 64 and the continuum
+_SEARCH_OVERSAMPLING, _JUDGED_OVERSAMPLING = 8, 64  # of the moves, and of the polish, which uses the continuum too
 _HOT_DB = {"min-mtf": 0.8, "noise": 0.3, "flatness": 0.1, "mse": 0.1}  # docs/decisions/search.md
 _HOT_CHIPS, _HOTTEST = 52, 4.0  # these temperatures are for so many chips; fewer are at most so much hotter
 COOLING = 3.0  # hottest over coldest
@@ -160,7 +160,10 @@ def anneal(
     if any(bits.size != problem.chips for bits in given):
         raise ValueError(f"start: every code must have {problem.chips} chips")
     coarse = moved or Objective(problem, oversampling=_SEARCH_OVERSAMPLING)
-    elites = _Elites(coarse)
+    sweeping = swept(problem)
+    if sweeping:
+        judge = judge or Objective(problem, oversampling=_JUDGED_OVERSAMPLING, dtype=np.float64)
+    elites = _Elites(judge if judge is not None and sweeping else coarse)
     seeds = np.array([*given, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
     elites.offer(seeds[problem.satisfied(seeds)])
     free = problem.free_chips
@@ -174,10 +177,10 @@ def anneal(
 
     try:
         if _movable(problem, elites.ranked()[0], free):
-            crews = _crews(problem, coarse, free, threads)
+            crews = _crews(problem, coarse, free, threads, sweep_tables(coarse, judge) if sweeping and judge else None)
             budget.began = time.monotonic()  # the samples of a class of motions may take longer than the whole limit
             round_number = 0
-            longest = _LONGEST_SWEPT if swept(problem) else _LONGEST
+            longest = _LONGEST_SWEPT if sweeping else _LONGEST
             while budget.left():
                 moves = budget.chain(round_number, longest=longest)
                 plans = _plans(problem, elites, moves, rng, first=round_number == 0)
@@ -191,7 +194,7 @@ def anneal(
         if progress is not None:
             progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece.done, piece.code)
 
-    best, fine = elites.best(), judge or Objective(problem, oversampling=64, dtype=np.float64)
+    best, fine = elites.best(), judge or Objective(problem, oversampling=_JUDGED_OVERSAMPLING, dtype=np.float64)
     found = Polished(best, fine.exact_cost(best), 0.0)
     found, stopped = budget.polished(found, polish(fine, elites.ranked(), swaps=swaps), told, stopped=stopped)
     metrics = problem.measure(found.code)
@@ -223,11 +226,16 @@ def _movable(problem: SearchProblem, code: Codes, free: NDArray[np.intp]) -> boo
     return free.size > 0 and (low < high or np.unique(code[free]).size == 2)
 
 
-def _crews(problem: SearchProblem, coarse: Objective, free: NDArray[np.intp], threads: int | None) -> list[Crew]:
+def _crews(
+    problem: SearchProblem,
+    coarse: Objective,
+    free: NDArray[np.intp],
+    threads: int | None,
+    sweeping: SweepTables | None,
+) -> list[Crew]:
     """Return a crew for the objective; of a mix also one for each part, which judges a move many times as fast."""
     parts = [coarse.instead(name) for name, _ in problem.objective_mix]
     objectives = [coarse] if len(parts) == 1 else [*parts, coarse]
-    sweeping = sweep_tables(coarse) if swept(problem) else None
     return [Crew(one.problem, lay_out(one), free, threads=threads, sweeping=sweeping) for one in objectives]
 
 

@@ -90,12 +90,17 @@ def swept(problem: SearchProblem) -> bool:
     )
 
 
-def sweep_tables(objective: Objective) -> SweepTables:
-    """Lay out the samples of an objective of one part, every one of them and some."""
+def sweep_tables(objective: Objective, judge: Objective) -> SweepTables:
+    """Lay out some samples of an objective of one part, and all of a finer one's.
+
+    The finer ones have to be so many that |P| has no dip between them: of a code with a zero, 8 per 1 / chips may show
+    a smallest |P| of 2 chips.
+    """
     problem = objective.problem
-    fine = (problem.chips * objective.rows[:, 0]).astype(np.float32)
-    count = min(_FREQUENCIES, fine.shape[-1])
-    coarse = fine[:, :, np.linspace(0, fine.shape[-1] - 1, count).round().astype(int)]
+    rows = problem.chips * objective.rows[:, 0]
+    count = min(_FREQUENCIES, rows.shape[-1])
+    coarse = rows[:, :, np.linspace(0, rows.shape[-1] - 1, count).round().astype(int)].astype(np.float32)
+    fine = (problem.chips * judge.rows[:, 0]).astype(np.float32)
     lanes = -(-problem.chips // _LANES) * _LANES
     turned = np.zeros((count, 2, lanes), np.float32)
     turned[:, :, : problem.chips] = coarse.transpose(2, 1, 0)
@@ -253,7 +258,7 @@ def sweep(
             lowest = np.float32(np.inf)
             for d in range(count):
                 lowest = min(lowest, power[dips[d]])
-            if lowest > deepest[0]:  # the fine samples have the coarse ones among them
+            if lowest > deepest[0]:
                 lowest = _fine_power(fine, code, precise)
                 if lowest > deepest[0]:
                     if found[0] == best.shape[0]:

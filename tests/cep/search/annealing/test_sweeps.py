@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip
 from cep.search.annealing.anneal import anneal
@@ -36,8 +37,8 @@ def fine_powers(objective, codes):
 def test_moves_keep_the_limits_and_the_deepest_codes(name):
     problem = PROBLEMS[name]
     assert swept(problem)
-    judge = Objective(problem, oversampling=8, dtype=np.float64)
-    tables, random = sweep_tables(judge), np.array([77], np.uint64)
+    judge = Objective(problem, oversampling=64, dtype=np.float64)
+    tables, random = sweep_tables(Objective(problem, oversampling=8), judge), np.array([77], np.uint64)
     code = problem.random_codes(1, rng=np.random.default_rng(0))[0].astype(np.int8)
     deepest, visited = np.zeros(1), {code.tobytes()}
     for _ in range(60):
@@ -58,8 +59,8 @@ def test_moves_keep_the_limits_and_the_deepest_codes(name):
 
 def test_a_cold_sweep_only_improves():
     problem = PROBLEMS["circle"]
-    judge = Objective(problem, oversampling=8, dtype=np.float64)
-    tables, random = sweep_tables(judge), np.array([5], np.uint64)
+    judge = Objective(problem, oversampling=64, dtype=np.float64)
+    tables, random = sweep_tables(Objective(problem, oversampling=8), judge), np.array([5], np.uint64)
     code = problem.random_codes(1, rng=np.random.default_rng(3))[0].astype(np.int8)
     costs = []
     for _ in range(40):
@@ -68,6 +69,17 @@ def test_a_cold_sweep_only_improves():
         sweep(tables, code, random, 1e-9, 40, np.zeros(1), np.zeros((1, 20), np.int8), np.zeros(1, np.int64))
     assert (np.diff(costs) <= 1e-3).all()
     assert costs[-1] < costs[0] - 3
+
+
+def test_a_zero_between_the_samples_of_the_moves_is_seen():
+    """At 8 samples per 1 / chips a code with a zero may look better than each code with a true minimum as large."""
+    problem = SearchProblem(chips=52, open_range=(26, 26))
+    objective, judge, codes = Objective(problem, oversampling=8), Objective(problem, oversampling=64), []
+    crew = Crew(problem, lay_out(objective), np.arange(52), threads=1, sweeping=sweep_tables(objective, judge))
+    crew.run([Sweeps(2**16, 0.22, seed) for seed in range(60)], lambda _moves: True, codes.append)
+    for some in codes:
+        minima = [min_chip(ShutterCode.from_array(code)) for code in some]
+        assert minima[-1] >= max(minima) - 0.1
 
 
 @pytest.mark.parametrize("light", [(1, 12), (5, 5)])
@@ -89,11 +101,11 @@ def test_proven_optima_are_found_without_their_table(chips):
 
 def test_the_seed_decides_not_the_threads():
     problem = SearchProblem(chips=40, open_range=(18, 24))
-    objective = Objective(problem, oversampling=8)
+    objective, judge = Objective(problem, oversampling=8), Objective(problem, oversampling=64)
     offered = []
     for threads in (1, 3):
-        codes = []
-        crew = Crew(problem, lay_out(objective), np.arange(40), threads=threads, sweeping=sweep_tables(objective))
+        codes, tables = [], sweep_tables(objective, judge)
+        crew = Crew(problem, lay_out(objective), np.arange(40), threads=threads, sweeping=tables)
         crew.run([Sweeps(300_000, 0.3, seed) for seed in (1, 2, 3)], lambda _moves: True, codes.append)
         offered.append(codes)
     for one, three in zip(*offered, strict=True):
