@@ -172,7 +172,8 @@ def test_no_baseline_within_the_limits_beats_the_code(problem, steps, seed):
     assert found.objective == judge.exact_cost(found.code)
     for row in found.baselines:
         assert row.within_limits == problem.allows(row.code)
-        assert not row.within_limits or judge.exact_cost(row.code) >= found.objective
+        # a code and the same one shifted may differ in the last bits of their costs
+        assert not row.within_limits or judge.exact_cost(row.code) >= found.objective - 1e-9
 
 
 def test_the_same_seed_and_moves_give_the_same_code_and_table():
