@@ -69,6 +69,8 @@ class ProofVerdict:
 
 def is_proof(path: Path | str) -> bool:
     """Whether a file begins as a proof in blocks does."""
+    if not Path(path).is_file():  # to open a pipe may take for ever
+        return False
     try:
         with Path(path).open("rb") as stream:
             first = json.loads(stream.readline(2**16))
@@ -139,6 +141,8 @@ def verify_proof(
 
 
 def _read(path: Path) -> tuple[Mapping[str, Any], list[dict[str, Any]]]:
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{path}: a regular file is needed")
     with path.open("rb") as stream:
         data = stream.read(_MOST_BYTES + 1)
     if len(data) > _MOST_BYTES:

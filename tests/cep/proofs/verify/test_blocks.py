@@ -1,6 +1,7 @@
 """The check of a proof in blocks: it passes true ones, and refuses whatever is missing, doubled or changed."""
 
 import json
+import os
 import tracemalloc
 from pathlib import Path
 
@@ -116,6 +117,15 @@ def test_a_damaged_line_is_named(tmp_path, true_lines):
     with pytest.raises(ValueError, match="line 2 is damaged"):
         verify_proof(path, rng=np.random.default_rng(0))
     assert not is_proof(tmp_path / "none")
+
+
+def test_a_pipe_is_no_proof_and_is_not_opened(tmp_path, monkeypatch):
+    """The opening of one that nobody writes to never ends."""
+    os.mkfifo(tmp_path / "pipe")
+    monkeypatch.setattr(Path, "open", lambda *_args: pytest.fail("it was opened"))
+    assert not is_proof(tmp_path / "pipe")
+    with pytest.raises(ValueError, match="pipe"):
+        verify_proof(tmp_path / "pipe", rng=np.random.default_rng(0))
 
 
 def test_the_largest_block_of_a_published_proof_is_counted_out_in_little_memory():
