@@ -150,7 +150,7 @@ def advise(
 
     finish(
         result, as_json=as_json, show=lambda console: _show(console, advice, judged, gains, output), outputs=outputs,
-        save=draw, tables=tables, found=advice.here.sentence,
+        save=draw, tables=tables, summary=advice.here.sentence,
     )  # fmt: skip
 
 

@@ -181,7 +181,7 @@ def calibrate(
         tick(0.0, "reading the photo")
         from cep.codes.sources import load_codes
         from cep.io.images import parse_gamma, read_image, read_photo
-        from cep.io.outputs import claim_folder, saying
+        from cep.io.outputs import claim_folder, summary_on_failure
         from cep.workflows.calibrate import (
             CALIBRATION_FILES,
             check_options,
@@ -242,7 +242,7 @@ def calibrate(
             source |= {"images": [str(one) for one in images]}
         if codes is not None:
             source |= {"codes": [one.bits for one in codes]}
-        with saying(trajectory_text(found.best)):
+        with summary_on_failure(trajectory_text(found.best)):
             files = found.save(folder, source=source, force=force, bits=min(photos[0].bits, 16), gamma=gamma)
         tick(1.0)
     motion = found.best

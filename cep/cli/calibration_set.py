@@ -68,7 +68,7 @@ def calibration_set(
     finish(
         result, as_json=as_json, show=lambda console: _show(console, found, output), outputs=outputs,
         save=lambda _made: found.save(output, file_format=file_format, force=force), tables=tables,
-        found=in_bits(found.codes),
+        summary=in_bits(found.codes),
     )  # fmt: skip
 
 

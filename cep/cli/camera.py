@@ -153,6 +153,6 @@ def estimate(
         console.print(f"{output}: the camera, for --camera; the curve is in {picture}")
 
     finish(
-        result, as_json=as_json, show=show, outputs=outputs, tables=tables, found=transfer.summary,
+        result, as_json=as_json, show=show, outputs=outputs, tables=tables, summary=transfer.summary,
         save=lambda made: found.save(made[output], made[picture]),
     )  # fmt: skip

@@ -55,7 +55,7 @@ def finish(
     outputs: Outputs | None = None,
     save: Callable[[Mapping[Path, Path]], object] = lambda _made: None,
     tables: Path | None = None,
-    found: str = "",
+    summary: str = "",
 ) -> None:
     """Write a command's outputs, all or none, and print its result: as strict JSON, or through ``show`` for people.
 
@@ -71,11 +71,11 @@ def finish(
         Writes them under temporary names: it is given the mapping of each file to its own.
     tables : Path, optional
         That of ``outputs`` for the tables that ``show`` prints, whole: .tex, .csv or .md.
-    found : str
-        What must not be lost: it is told where the outputs cannot be written.
+    summary : str
+        The result in one line, which the error says where the outputs cannot be written.
     """
     if outputs is not None:
-        with outputs.written(found=found) as made:
+        with outputs.written(summary=summary) as made:
             if tables is not None:
                 from cep.io.tables import write_sheets
 

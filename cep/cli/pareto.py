@@ -156,7 +156,7 @@ def pareto(
     finish(
         result, as_json=as_json, show=lambda console: _show(console, found, output, picture), outputs=outputs,
         save=lambda made: found.save(made[output], made[picture], source=source), tables=tables,
-        found=in_bits(point.code for point in found.front.points),
+        summary=in_bits(point.code for point in found.front.points),
     )  # fmt: skip
 
 

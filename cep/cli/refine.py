@@ -104,7 +104,7 @@ def refine(
             "codes": [one.bits for one in codes],
             "path_uncertainty_px": found.uncertainty_px,
         }
-        with outputs.written(found=trajectory_text(found.trajectory)) as made:
+        with outputs.written(summary=trajectory_text(found.trajectory)) as made:
             write_motion(made[target], StoredMotion(found.trajectory, source=source))
         tick(1.0)
     motion = found.trajectory

@@ -75,23 +75,23 @@ class SearchRun:
         from cep.io.outputs import Outputs
         from cep.search.playable import unplayable
 
-        kept: list[tuple[str, Write]] = []
+        candidates: list[tuple[str, Write]] = []
 
         def keep(codes: Sequence[ShutterCode], write: Write) -> None:
             for code in codes:
                 if reason := unplayable(code.bits, self.profile, code.chip_ns):
                     raise ValueError(reason)
-            kept.append((in_bits(codes), write))
+            candidates.append((in_bits(codes), write))
 
         try:
             yield keep
         except KeyboardInterrupt:
-            for bits, write in kept:
-                with Outputs(files or (self.output,), self.force).written(found=bits) as made:
+            for bits, write in candidates:
+                with Outputs(files or (self.output,), self.force).written(summary=bits) as made:
                     write(made)
             raise
         except Exception as error:
-            for bits, _ in kept:
+            for bits, _ in candidates:
                 error.add_note(f"found: {bits}")
             raise
 
@@ -109,7 +109,7 @@ class SearchRun:
 
         return partial(
             finish, {**result, "seed": self.how.seed}, as_json=self.as_json, show=show, outputs=outputs, save=save,
-            tables=self.tables, found=in_bits(codes),
+            tables=self.tables, summary=in_bits(codes),
         )  # fmt: skip
 
 

@@ -23,7 +23,8 @@ from motdiff.io.outputs import (
 )
 
 __all__ = [
-    "Outputs", "claim", "claim_folder", "new_file", "new_files", "new_folder", "saying", "write_bytes", "write_text",
+    "Outputs", "claim", "claim_folder", "new_file", "new_files", "new_folder", "summary_on_failure", "write_bytes",
+    "write_text",
 ]  # fmt: skip
 
 
@@ -59,20 +60,20 @@ class Outputs:
             check_file(path)
 
     @contextmanager
-    def written(self, *, found: str = "") -> Iterator[dict[Path, Path]]:
-        """Yield a temporary name for each file, as :func:`new_files`; where that fails, ``found`` is said."""
-        with saying(found), new_files(self.paths, force=self.force) as made:
+    def written(self, *, summary: str = "") -> Iterator[dict[Path, Path]]:
+        """Yield a temporary name for each file, as :func:`new_files`; where that fails, the error says the summary."""
+        with summary_on_failure(summary), new_files(self.paths, force=self.force) as made:
             yield made
 
 
 @contextmanager
-def saying(found: str) -> Iterator[None]:
-    """Add what was found to the error of writing it, as of a full disk: it must not be lost."""
+def summary_on_failure(summary: str) -> Iterator[None]:
+    """Add a result's summary to the error of writing it, as of a full disk: the result must not be lost."""
     try:
         yield
     except (OSError, ValueError) as error:
-        if found:
-            error.add_note(f"found: {found}")
+        if summary:
+            error.add_note(f"found: {summary}")
         raise
 
 
