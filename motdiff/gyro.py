@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from motdiff.trajectory import Trajectory, check_length
+from motdiff.trajectory import Trajectory
 
 __all__ = [
     "DEFAULT_AXES",
@@ -149,16 +149,13 @@ def trajectory_from_gyro(
     Raises
     ------
     ValueError
-        If the exposure does not lie within the trace, a number is not positive, the axes are none, or the path is
-        longer than :data:`motdiff.trajectory.LONGEST_PX`.
+        If the exposure does not lie within the trace, a number is not positive, or the axes are none.
     """
     for name, value in (("focal_px", focal_px), ("exposure_s", exposure_s)):
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"{name}: must be a positive number, got {value}")
     times, angles = _integrated(trace, image_rates_rad_s(trace, axes=axes), start_s, exposure_s)
-    path = Trajectory.from_samples(focal_px * angles, t=times, direction="known")
-    check_length(path)
-    return path
+    return Trajectory.from_samples(focal_px * angles, t=times, direction="known")
 
 
 def roll_rad(trace: GyroTrace, *, start_s: float, exposure_s: float, axes: str = DEFAULT_AXES) -> float:

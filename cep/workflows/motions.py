@@ -7,7 +7,7 @@ from pathlib import Path
 from motdiff.gyro import DEFAULT_AXES, GyroTrace, trajectory_from_gyro
 from motdiff.io.gyro_tables import read_gyro
 from motdiff.io.trajectories import read_motion, stated_uncertainty_px
-from motdiff.trajectory import Trajectory
+from motdiff.trajectory import Trajectory, check_length
 
 __all__ = ["DEFAULT_AXES", "gyro_motion", "stored_paths"]
 
@@ -44,8 +44,9 @@ def gyro_motion(
     Raises
     ------
     ValueError, OSError
-        If the file is no recording, or does not cover the exposure.
+        If the file is no recording or does not cover the exposure, or if the path is too long to be handled.
     """
     trace = read_gyro(file)
     path = trajectory_from_gyro(trace, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s, axes=axes)
+    check_length(path)
     return path, trace

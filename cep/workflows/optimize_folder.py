@@ -17,7 +17,7 @@ from cep.workflows.optimize import Search, code_from_figures, optimize_motion
 from cep.workflows.search_options import Task
 from hw.device import DeviceProfile
 from motdiff.io.trajectories import StoredMotion, read_motion
-from motdiff.trajectory import Trajectory
+from motdiff.trajectory import LONGEST_PX, Trajectory
 
 __all__ = ["motions_in", "optimize_folder"]
 
@@ -25,7 +25,7 @@ __all__ = ["motions_in", "optimize_folder"]
 _SUMMARY, _CODE, _MOTION = "codes.csv", "code.json", "trajectory.json"
 _COLUMNS = ("motion", "open", "min_mtf", "min_chip", "noise_gain_db", "mse_db", "seconds")
 _MORE = ("chips", "duty", "bound", "gap", "steps", "stopped", "proven", "bits", "warnings", "failure")
-_RESOLVED_PX = 1e4  # a path that tells any chips apart
+_RESOLVED_PX = LONGEST_PX  # tells apart as many chips as can be told apart at all
 
 
 def optimize_folder(

@@ -11,6 +11,7 @@ from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.gyro import DEFAULT_AXES, GyroTrace, roll_rad, trajectory_from_gyro
 from motdiff.psf_frame import PSF_PX
+from motdiff.trajectory import check_length
 
 __all__ = ["GyroEstimator"]
 
@@ -71,6 +72,7 @@ class GyroEstimator:
                 f"of {needed} px that this needs is larger than the photo ({width} x {height} px): are they in deg/s "
                 "(rate_unit='deg'), or is the focal length or the unit of the times another?"
             )
+        check_length(trajectory)
         roll = roll_rad(self.trace, axes=axes, **window)
         corner_px = 0.5 * math.hypot(height, width)
         inside = (self.trace.t_s >= self.start_s) & (self.trace.t_s <= self.start_s + self.exposure_s)

@@ -459,9 +459,3 @@ def test_the_refusal_names_what_is_wrong(tmp_path: Path, text: str, said: str) -
     path.write_text(text)
     with pytest.raises(ValueError, match=f"gyro.csv: .*{said}"):
         read_gyro(path)
-
-
-def test_a_path_too_long_to_be_handled_is_refused() -> None:
-    fast = trace(np.tile([0.0, 5.0, 0.0], (100, 1)))
-    with pytest.raises(ValueError, match=r"the path is 5000 px long, at most 4096 px can be handled"):
-        trajectory_from_gyro(fast, focal_px=5000, start_s=0.1, exposure_s=0.2)

@@ -7,6 +7,7 @@ format and the argument are in docs/proofs/README.md.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -69,7 +70,7 @@ class ProofVerdict:
 
 def is_proof(path: Path | str) -> bool:
     """Whether a file begins as a proof in blocks does."""
-    if not Path(path).is_file():  # to open a pipe may take for ever
+    if not os.path.isfile(path):  # to open a pipe may take for ever; bits may be too long for a name
         return False
     try:
         with Path(path).open("rb") as stream:

@@ -123,3 +123,10 @@ def test_the_times_told_are_times_that_can_be_chosen(clock_s: float) -> None:
     assert last_s == pytest.approx(late.t_s[-1], abs=1.1e-4)
     for start_s in (first_s, last_s - 0.1):
         trajectory_from_gyro(late, focal_px=FOCAL_PX, start_s=start_s, exposure_s=0.1)
+
+
+def test_a_path_too_long_to_be_handled_is_refused() -> None:
+    steady = GyroTrace(np.linspace(0, 1, 100), np.tile([0.0, 5.0, 0.0], (100, 1)))
+    estimator = GyroEstimator(steady, focal_px=5000, start_s=0.1, exposure_s=0.2)
+    with pytest.raises(ValueError, match=r"the path is 5000 px long, at most 4096 px can be handled"):
+        estimator.estimate(np.zeros((64, 8000)))
