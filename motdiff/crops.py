@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -37,6 +36,7 @@ CLIPPED_LEVEL = 0.98  # JPEG and demosaicing leave a clipped area a little below
 _CLIPPED_SHARE = 0.02  # a crop with this share of clipped pixels is used only when there is nothing else
 _OVERLAP_SHARE = 0.25
 _FULL, _DARKEST = 0.95, 1e-6  # a dim photo is brightened up to the first
+_LEAST_GAIN = 1.5  # a photo that would gain less is bright enough, and stays as it is
 _WHOLE = 1.25  # a photo larger than a crop by up to this is taken whole
 
 
@@ -79,10 +79,9 @@ def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:
 
 
 def exposure_gain(photo: ArrayLike) -> float:
-    """Factor, in whole stops, that brightens a dim photo as far as full scale allows; 1 for others.
+    """Factor that brightens a dim photo as far as full scale allows; 1 for a bright one.
 
-    What is searched and chosen by limits on light and noise then hardly depends on a photo's exposure. A power of two
-    changes no digit of a sample.
+    What is searched and chosen by limits on light and noise then hardly depends on a photo's exposure.
 
     Parameters
     ----------
@@ -94,10 +93,11 @@ def exposure_gain(photo: ArrayLike) -> float:
 
     Examples
     --------
-    >>> exposure_gain([[0.05, 0.1]]), exposure_gain([[0.1, 1.0]])
-    (8.0, 1.0)
+    >>> round(exposure_gain([[0.05, 0.1]]), 3), exposure_gain([[0.1, 1.0]])
+    (9.5, 1.0)
     """
-    return max(1.0, 2.0 ** math.floor(math.log2(_FULL / max(float(np.max(photo, initial=0.0)), _DARKEST))))
+    gain = _FULL / max(float(np.max(photo, initial=0.0)), _DARKEST)
+    return gain if gain >= _LEAST_GAIN else 1.0
 
 
 def check_size(photo: ArrayLike, *, least_px: int) -> None:
