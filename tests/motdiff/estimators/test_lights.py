@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from motdiff.crops import exposure_gain
 from motdiff.estimators.lights import without_lights
 from tests.motdiff.estimators.test_multiscale import FakeSearch, line
 
@@ -81,5 +82,5 @@ def test_otherwise_one_search_of_the_photo_as_it_is(photo, confidence):
     search = FakeSearch((line(9), confidence), (line(15), 0.8))
     found = search.estimate(photo)
     assert len(search.seen) == 1
-    np.testing.assert_array_equal(search.seen[0][0], photo)
+    np.testing.assert_array_equal(search.seen[0][0], exposure_gain(photo) * photo)
     assert "lights_left_out" not in found.details
