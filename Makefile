@@ -8,6 +8,7 @@ PHOTO ?=
 BENCH ?= out/bench
 DATA ?=
 QUICK ?= --quick
+STUDIES = $(filter-out __init__ inputs,$(notdir $(basename $(wildcard lab/studies/*.py))))
 
 .PHONY: help demo docs test lint bench benchmarks firmware clean
 
@@ -19,7 +20,7 @@ help:
 	@echo "make lint             ruff, strict mypy and the rules on imports"
 	@echo "make bench            the paper's tables at their quick size, to $(BENCH)/README.md"
 	@echo "make bench QUICK= DATA=folder   the same at full size (days), of your photos; stopped, it goes on"
-	@echo "make benchmarks       the measurements under benchmarks/"
+	@echo "make benchmarks       the measurements under lab/studies/"
 	@echo "make firmware         the shutter controller's firmware; MAX_ON_US=500 MAX_DUTY_PERMILLE=400 builds limits in"
 
 demo: $(READY)
@@ -39,10 +40,10 @@ lint: $(READY)
 	$(BIN)/lint-imports --no-cache
 
 bench: $(READY)
-	$(BIN)/cep bench $(QUICK) --force -o "$(BENCH)" $(if $(DATA),--data "$(DATA)")
+	$(BIN)/python -m lab bench $(QUICK) --force -o "$(BENCH)" $(if $(DATA),--data "$(DATA)")
 
 benchmarks: $(READY)
-	@for script in benchmarks/[a-z]*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
+	@for script in $(STUDIES); do echo "== $$script"; $(BIN)/python -m "lab.studies.$$script" || exit 1; done
 
 firmware:
 	$(MAKE) -C hw/firmware/avr

@@ -22,8 +22,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cep.calibration.calibrate import estimate_motion
+    from cep.calibration.refine import refine_motion
     from cep.codes.sources import load_code
-    from cep.io.images import read_image, write_image
+    from cep.files.images import read_image, write_image
     from cep.optics.camera import Camera
     from cep.optics.capture import capture
     from cep.optics.code import ShutterCode
@@ -33,18 +35,16 @@ if TYPE_CHECKING:
     from cep.proofs.verify.certificates import verify
     from cep.restoration.direction import detect_direction
     from cep.restoration.methods import restore
+    from cep.search.advise import advise
     from cep.search.bounding.bounds import bound
+    from cep.search.compare import compare
     from cep.search.limits import RunLimits
+    from cep.search.optimize import optimize
     from cep.search.problem import SearchProblem
-    from cep.workflows.advise import advise
-    from cep.workflows.calibrate import estimate_motion
-    from cep.workflows.compare import compare
-    from cep.workflows.optimize import optimize
-    from cep.workflows.playback import read_playback
-    from cep.workflows.refine import refine_motion
-    from cep.workflows.shutter import open_shutter
+    from cep.shutter.play import open_shutter
+    from cep.shutter.playback import read_playback
     from hw.device import DeviceProfile
-    from motdiff.io.gyro_tables import read_gyro
+    from motdiff.files.gyro_tables import read_gyro
     from motdiff.trajectory import Trajectory
 
 __all__ = [
@@ -84,26 +84,26 @@ _MODULES = {
     "SearchProblem": "cep.search.problem",
     "ShutterCode": "cep.optics.code",
     "Trajectory": "motdiff.trajectory",
-    "advise": "cep.workflows.advise",
+    "advise": "cep.search.advise",
     "audit": "cep.proofs.audit",
     "bound": "cep.search.bounding.bounds",
     "capture": "cep.optics.capture",
     "certify": "cep.proofs.certify.certificate",
     "coded_psf": "cep.optics.exposure",
-    "compare": "cep.workflows.compare",
+    "compare": "cep.search.compare",
     "detect_direction": "cep.restoration.direction",
-    "estimate_motion": "cep.workflows.calibrate",
+    "estimate_motion": "cep.calibration.calibrate",
     "load_code": "cep.codes.sources",
     "mtf": "cep.optics.exposure",
-    "open_shutter": "cep.workflows.shutter",
-    "optimize": "cep.workflows.optimize",
-    "read_gyro": "motdiff.io.gyro_tables",
-    "read_image": "cep.io.images",
-    "read_playback": "cep.workflows.playback",
-    "refine_motion": "cep.workflows.refine",
+    "open_shutter": "cep.shutter.play",
+    "optimize": "cep.search.optimize",
+    "read_gyro": "motdiff.files.gyro_tables",
+    "read_image": "cep.files.images",
+    "read_playback": "cep.shutter.playback",
+    "refine_motion": "cep.calibration.refine",
     "restore": "cep.restoration.methods",
     "verify": "cep.proofs.verify.certificates",
-    "write_image": "cep.io.images",
+    "write_image": "cep.files.images",
 }
 
 

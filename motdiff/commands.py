@@ -15,8 +15,8 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from motdiff.io.inputs import printable
-from motdiff.io.outputs import check_file, check_folder
+from motdiff.files.inputs import printable
+from motdiff.files.outputs import check_file, check_folder
 
 __all__ = ["parser", "run"]
 
@@ -33,7 +33,7 @@ examples:
   python -m motdiff train motdiff/configs/cpu.toml -o run --minutes 30
   python -m motdiff export run -o motdiff.safetensors
 measured where the motion is known:
-  cep bench blind --protocol card-gyro --data photos/ --gyro gyro.txt --methods pmp,network:ddim:10@motdiff.safetensors
+  python -m lab bench blind --protocol card-gyro --data photos/ --gyro gyro.txt --methods pmp,network:ddim:10@motdiff.safetensors
 """
 
 
@@ -195,7 +195,7 @@ def _add_export(commands: _Commands[argparse.ArgumentParser]) -> None:
 
 
 def _export(given: argparse.Namespace) -> None:
-    from motdiff.io.inputs import read_json
+    from motdiff.files.inputs import read_json
     from motdiff.training.log import last_validation
     from motdiff.weights import export_weights, read_card
 
@@ -229,9 +229,9 @@ def _sample(given: argparse.Namespace) -> None:
     from motdiff.crops import luminance
     from motdiff.estimators.kernel_score import noise_sigma
     from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
-    from motdiff.io.decoding import decode
-    from motdiff.io.outputs import write_bytes
-    from motdiff.io.photo_files import photo_bytes
+    from motdiff.files.decoding import decode
+    from motdiff.files.outputs import write_bytes
+    from motdiff.files.photo_files import photo_bytes
     from motdiff.network.condition import PHOTO_PX
     from motdiff.simulate import to_linear
     from motdiff.weights import DEFAULT_WEIGHTS, load_network

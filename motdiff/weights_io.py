@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from safetensors import SafetensorError, safe_open
 
-from motdiff.io.inputs import JSON_BYTES, one_line, regular_file
-from motdiff.io.outputs import write_bytes
+from motdiff.files.inputs import JSON_BYTES, one_line, regular_file
+from motdiff.files.outputs import write_bytes
 
 if TYPE_CHECKING:
     from torch import Tensor, nn

@@ -36,10 +36,10 @@ from scipy.signal import fftconvolve
 from skimage import data, restoration
 
 import cep
-from cep.bench.coded.protocol import coded_protocol
-from cep.bench.coded.run import measure_coded
-from cep.bench.datasets import bundled_photos, labels_of, pick
-from cep.bench.statistics import crossed_interval
+from lab.bench.coded.protocol import coded_protocol
+from lab.bench.coded.run import measure_coded
+from lab.bench.datasets import bundled_photos, labels_of, pick
+from lab.bench.statistics import crossed_interval
 
 path = cep.Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])
 code = cep.load_code("barker-13")
@@ -106,7 +106,7 @@ assert np.allclose(own.image, views["scikit-image, Wiener"])
 # function of another library. There photo and PSF already have the scale that scikit-image expects.
 #
 # scikit-image's Richardson-Lucy is named as it is. A second one mirrors the photo at its borders first: a module of
-# four lines. In the shell: `cep bench cep --set restoration=mymodule:mirrored_lucy`.
+# four lines. In the shell: `python -m lab bench cep --set restoration=mymodule:mirrored_lucy`.
 
 # %%
 MODULE = """
@@ -175,4 +175,4 @@ except (ImportError, RuntimeError) as missing:  # a torchvision that does not fi
 
 # %% [markdown]
 # An estimator of motion is a row of the other table, as an object with `estimate(photo)` in a module of yours:
-# `cep bench blind --methods pmp,mymodule:MyEstimator`. [Step by step](../docs/howto/own-method.md).
+# `python -m lab bench blind --methods pmp,mymodule:MyEstimator`. [Step by step](../docs/howto/own-method.md).

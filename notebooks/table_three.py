@@ -24,7 +24,7 @@
 # %% [markdown]
 # ## The protocol
 #
-# This is the protocol of `cep bench cep`: random walks of 60 px, crops of 256 px, 52 chips with 26 open, 8 bits, and
+# This is the protocol of `python -m lab bench cep`: random walks of 60 px, crops of 256 px, 52 chips with 26 open, 8 bits, and
 # an inverse filter that is given the true coded PSF. It is **small**: 5 photos and 5 motions, where the paper takes
 # 10 and 100, and a quarter of the search's moves. The photos are those that scikit-image carries.
 #
@@ -40,13 +40,13 @@ from IPython.display import Markdown, display
 from matplotlib import pyplot as plt
 
 import cep
-from cep.bench.coded.picture import coded_figure
-from cep.bench.coded.protocol import coded_protocol, drawn_motions
-from cep.bench.coded.run import measure_coded
-from cep.bench.coded.tables import coded_tables
-from cep.bench.datasets import bundled_photos, labels_of, pick
-from cep.bench.statistics import crossed_interval
-from cep.bench.table_io import tables_markdown
+from lab.bench.coded.picture import coded_figure
+from lab.bench.coded.protocol import coded_protocol, drawn_motions
+from lab.bench.coded.run import measure_coded
+from lab.bench.coded.tables import coded_tables
+from lab.bench.datasets import bundled_photos, labels_of, pick
+from lab.bench.statistics import crossed_interval
+from lab.bench.table_io import tables_markdown
 
 protocol = coded_protocol("paper", ["photos=5", "motions=5", "steps=100000"])
 files = pick(bundled_photos(), protocol.photos, least_px=protocol.crop_px)
@@ -153,5 +153,5 @@ assert not gains["raskar-52", "random"].excludes_zero
 assert gains["oracle", "open"].low < 36.16 - 33.44 < gains["oracle", "open"].high
 
 # %% [markdown]
-# In the shell: `cep bench cep --designs open,raskar-52,dce,oracle --set photos=5 --set motions=5 --set steps=100000`,
+# In the shell: `python -m lab bench cep --designs open,raskar-52,dce,oracle --set photos=5 --set motions=5 --set steps=100000`,
 # with `--data FOLDER` for photos of your own and `--code my=101100111000` for a code of your own.

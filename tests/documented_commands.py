@@ -11,7 +11,7 @@ from pathlib import Path
 import jupytext
 import typer
 
-from cep.cli.main import app
+from cep.commands.main import app
 from motdiff.commands import parser
 
 ROOT = Path(__file__).resolve().parent.parent

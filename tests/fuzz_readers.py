@@ -52,7 +52,7 @@ class Reader:
 
 
 def _trajectory(path):
-    from motdiff.io.trajectories import read_motion
+    from motdiff.files.trajectories import read_motion
 
     return read_motion(path)
 
@@ -67,7 +67,7 @@ def _trajectory_seeds():
 
 
 def _code(path):
-    from cep.io.files import read_code
+    from cep.files.files import read_code
 
     return read_code(path)
 
@@ -122,13 +122,13 @@ def _file(*parts):
 
 
 def _coded_protocol(path):
-    from cep.bench.coded.protocol import coded_protocol
+    from lab.bench.coded.protocol import coded_protocol
 
     return coded_protocol(str(path))
 
 
 def _blind_protocol(path):
-    from cep.bench.blind.protocol import Protocol
+    from lab.bench.blind.protocol import Protocol
 
     return Protocol.load(path)
 
@@ -140,7 +140,7 @@ def _training_config(path):
 
 
 def _gyro(path):
-    from motdiff.io.gyro_tables import read_gyro
+    from motdiff.files.gyro_tables import read_gyro
 
     return read_gyro(path)
 
@@ -180,7 +180,7 @@ def _device(path):
 
 
 def _photo(path):
-    from cep.io.images import read_photo
+    from cep.files.images import read_photo
 
     return read_photo(path)
 
@@ -268,7 +268,7 @@ def _dng_seeds():
 
 
 def _psf(path):
-    from cep.io.files import read_psf
+    from cep.files.files import read_psf
 
     return read_psf(path)
 
@@ -304,7 +304,7 @@ def _mat_seeds():
 
 
 def _levin(path):
-    from motdiff.evaluation.sets import levin_photo
+    from lab.evaluation.sets import levin_photo
 
     return levin_photo(path)
 
@@ -334,7 +334,7 @@ def _network(path):
 
 
 def _learned_code(path):
-    from research.dce.weights import load_network
+    from lab.trainings.dce.weights import load_network
 
     return load_network(path)
 
@@ -380,7 +380,7 @@ READERS = {
         ".safetensors", _file("motdiff", "weights", "correction.safetensors"), _correction, mend=_safetensors_mended
     ),
     "learned code": Reader(
-        ".safetensors", _file("research", "dce", "dce.safetensors"), _learned_code, mend=_safetensors_mended
+        ".safetensors", _file("lab", "trainings", "dce", "dce.safetensors"), _learned_code, mend=_safetensors_mended
     ),
 }
 

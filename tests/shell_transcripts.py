@@ -26,7 +26,7 @@ def run_transcript(lines, folder):
     script = ["set -eu", *(line[2:] for line in lines if line.startswith(PROMPTS))]
     programs = folder / "bin"
     programs.mkdir()
-    for name, arguments in {"cep": "-c 'from cep.cli.main import run; run()'", "python": ""}.items():
+    for name, arguments in {"cep": "-c 'from cep.commands.main import run; run()'", "python": ""}.items():
         (programs / name).write_text(f'#!/bin/sh\nexec {python} {arguments} "$@"\n')
         (programs / name).chmod(0o755)
     environment = {

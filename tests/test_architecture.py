@@ -23,7 +23,7 @@ MAY_IMPORT = {
     "motdiff": {"motdiff"},  # motion is useful without shutters and codes
     "hw": {"hw"},  # a shutter is driven without numpy, photos or theory
     "cep": {"cep", "motdiff", "hw"},
-    "research": {"research", "cep", "motdiff"},  # trainings outside the wheel
+    "lab": {"lab", "cep", "motdiff", "hw"},  # trainings outside the wheel
 }
 
 HEAVY = {"torch", "cvxpy", "matplotlib", "skimage", "numba"}
@@ -49,8 +49,8 @@ UNPICKLING = {
 RUNNING = {"eval", "exec", "torch.load", "torch.export.load", "torch.jit.load", "torch.package.PackageImporter"}
 UNSAFE_OPTIONS = {("allow_pickle", "True"), ("weights_only", "False")}
 
-COMMANDS = "cep/cli/"
-LIGHT = "cep.workflows.search_options"  # imports what it needs within its functions
+COMMANDS = "cep/commands/"
+LIGHT = "cep.search.search_options"  # imports what it needs within its functions
 COMMANDS_MAY_IMPORT = {
     "__future__", "collections", "contextlib", "dataclasses", "os", "pathlib", "re", "shutil", "signal", "sys",
     "textwrap", "time", "traceback", "typing", "typer", "cep",
@@ -151,7 +151,7 @@ def within(name, names):
 
 
 def imports_point_downward(modules):
-    """Motdiff and hw import neither cep nor each other; nothing imports research."""
+    """Motdiff and hw import neither cep nor each other; nothing imports lab."""
     for module in modules:
         upward = {root_of(name) for name in module.imports} & set(MAY_IMPORT) - MAY_IMPORT[module.package]
         for package in sorted(upward):
@@ -364,7 +364,7 @@ MADE_UP = {  # a file called bad breaks the rule, a file called good keeps it
     "commands_start_light": {
         f"{COMMANDS}bad1.py": "import numpy\n",
         f"{COMMANDS}bad2.py": "from cep.optics.code import ShutterCode\n",
-        f"{COMMANDS}good.py": "import os.path\nfrom cep.cli import common\ndef f():\n    import numpy\n",
+        f"{COMMANDS}good.py": "import os.path\nfrom cep.commands import common\ndef f():\n    import numpy\n",
         "cep/good.py": "import numpy\n",
     },
     "public_modules_have_docstrings": {

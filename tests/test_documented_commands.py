@@ -6,7 +6,7 @@ from emulators.tools import require_simavr
 from shell_transcripts import ROOT, run_transcript, transcript_of
 
 RUN_ELSEWHERE = {"docs/hardware.md"}
-"""tests/cep/cli/test_hardware_transcript.py runs it."""
+"""tests/cep/commands/test_hardware_transcript.py runs it."""
 
 GONE = {
     "docs/decisions/network.md: cep calibrate --quick": "the record names what was removed",

@@ -12,12 +12,12 @@ from documented_commands import command_line, commands_in, lines_of
 from skimage import data
 
 import cep
-from cep.cli.main import main
-from cep.io.files import StoredCode, write_code
+from cep.commands.main import main
+from cep.files.files import StoredCode, write_code
 from cep.studio.state import read_setting
 from cep.studio.views import Views
 from motdiff.commands import run as motdiff
-from motdiff.io.trajectories import StoredMotion, write_motion
+from motdiff.files.trajectories import StoredMotion, write_motion
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs" / "howto").glob("*.md"))]
@@ -25,16 +25,16 @@ NOT_RUN = {
     "cep upload": "needs a board; the transcript of docs/hardware.md does it with the emulated one",
     "cep hw": "needs a board; the transcripts of docs/hardware.md and the tutorial do it with the emulated one",
     "cep studio": "serves until it is stopped; tests/cep/studio",
-    "cep bench": "takes minutes to days; .ci/run runs the quick one of all tables",
-    "cep calibrate open.png coded.png": "40 CPU-s; tests/cep/cli/test_calibrate_coded.py",
+    "python -m lab bench": "takes minutes to days; .ci/run runs the quick one of all tables",
+    "cep calibrate open.png coded.png": "40 CPU-s; tests/cep/commands/test_calibrate_coded.py",
     "cep calibrate light.png": "as above",
-    "cep calibration-set": "14 CPU-s; tests/cep/cli/test_calibration_set.py",
+    "cep calibration-set": "14 CPU-s; tests/cep/commands/test_calibration_set.py",
     "cep calibrate p1.png": "a minute; as above",
-    "cep calibrate run1.png": "9 CPU-s; tests/cep/cli/test_calibrate_together.py",
-    "cep optimize --trajectory motion/trajectory.json --device": "40 CPU-s; tests/cep/cli/test_optimize.py",
-    "cep optimize --linear 52 --frames": "a minute; tests/cep/workflows/test_frames.py",
-    "cep pareto": "a minute; tests/cep/cli/test_pareto.py",
-    "cep optimize --linear 44": "a minute; tests/cep/workflows/test_prove.py",
+    "cep calibrate run1.png": "9 CPU-s; tests/cep/commands/test_calibrate_together.py",
+    "cep optimize --trajectory motion/trajectory.json --device": "40 CPU-s; tests/cep/commands/test_optimize.py",
+    "cep optimize --linear 52 --frames": "a minute; tests/cep/search/test_frames.py",
+    "python -m lab pareto": "a minute; tests/lab/commands/test_pareto.py",
+    "cep optimize --linear 44": "a minute; tests/cep/search/exhaustive/test_prove.py",
     "python -m motdiff prepare": "an hour; tests/motdiff/test_commands.py prepares, trains and exports a small one",
     "python -m motdiff train": "half an hour to days; as above",
     "python -m motdiff export": "exports that training; as above",

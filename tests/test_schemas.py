@@ -11,19 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from cep.bench.table_io import made_json, tables_json
-from cep.bench.tables import Column, tabulate
-from cep.io.files import StoredCode, json_text, read_code, read_json, write_code
+from cep.calibration.calibration_set import calibration_set
+from cep.files.files import StoredCode, json_text, read_code, read_json, write_code
 from cep.optics.camera import Camera, camera_names
 from cep.optics.code import ShutterCode
-from cep.workflows.calibration_set import calibration_set
-from cep.workflows.optimize import optimize
-from cep.workflows.pareto import pareto
+from cep.search.optimize import optimize
 from hw.export import export_program
 from hw.export.json_manifest import parse_back
 from hw.program import Program
-from motdiff.io.schemas import fault, load_schema
-from motdiff.io.trajectories import StoredMotion, read_motion, write_motion
+from lab.bench.table_io import made_json, tables_json
+from lab.bench.tables import Column, tabulate
+from lab.fronts.run import pareto
+from motdiff.files.schemas import fault, load_schema
+from motdiff.files.trajectories import StoredMotion, read_motion, write_motion
 from motdiff.trajectory import Trajectory
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -41,7 +41,7 @@ FILES = extension().schema_files()
 
 
 def schema(name):
-    return load_schema("motdiff.io" if name == "trajectory" else "cep.io", name)
+    return load_schema("motdiff.files" if name == "trajectory" else "cep.files", name)
 
 
 def faults(document, name, part=None):
@@ -66,7 +66,7 @@ def test_a_schema_is_one_and_has_only_keywords_that_readers_know(name):
 def test_a_keyword_that_readers_would_pass_over_is_refused(tmp_path, monkeypatch):
     (tmp_path / "schemas").mkdir()
     (tmp_path / "schemas" / "odd.json").write_text('{"properties": {"a": {"multipleOf": 2}}}')
-    monkeypatch.setattr("motdiff.io.schemas.resources.files", lambda _: tmp_path)
+    monkeypatch.setattr("motdiff.files.schemas.resources.files", lambda _: tmp_path)
     with pytest.raises(ValueError, match=r"odd\.json: unknown keyword 'multipleOf'"):
         load_schema("nowhere", "odd")
 
@@ -128,7 +128,7 @@ def test_tables_of_the_benchmarks():
     }
     columns = [Column("gain", "gain, dB", "high")]
     table = tabulate("t", figures, columns, rng=np.random.default_rng(0), row=0, cluster=(1, 2))
-    about = {"command": "cep bench", "seed": 0, "warnings": ["few"], "machines": [
+    about = {"command": "python -m lab bench", "seed": 0, "warnings": ["few"], "machines": [
         {"processor": "x", "cores": 2, "memory_gib": None, "system": "s", "python": "3", "versions": {}},
     ]}  # fmt: skip
     assert faults(json.loads(tables_json([table], **about)), "bench") == []

@@ -13,7 +13,7 @@ import typer
 from emulators.tools import give_up
 
 from cep import __all__ as front_door
-from cep.cli.main import app
+from cep.commands.main import app
 
 ROOT = Path(__file__).resolve().parent.parent
 LOADED = {

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cep.io.works import work
+from cep.files.works import work
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
 
@@ -57,7 +57,7 @@ CLAIMS: Mapping[str, tuple[int, float]] = MappingProxyType(
 DCE_CODE = ShutterCode("11000001010011111111010010001100")
 """One code for all motions, learned with a restoration network after Zhang et al., DCE, Photonics Research 2023.
 
-The paper publishes no code: this one comes from our training (``research/dce``) and is no entry of the registry.
+The paper publishes no code: this one comes from our training (``lab/trainings/dce``) and is no entry of the registry.
 """
 
 # hex digits, most significant bit = first chip; the last n bits count
@@ -94,7 +94,7 @@ class PublishedCode:
     name : str
     code : ShutterCode
     works : tuple of str
-        Keys in :mod:`cep.io.works`.
+        Keys in :mod:`cep.files.works`.
     note : str
         How the code comes from them.
     periodic : bool

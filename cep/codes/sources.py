@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from cep.codes.published import published
-from cep.io.files import StoredCode, read_code
+from cep.files.files import StoredCode, read_code
 from cep.optics.code import ShutterCode
-from motdiff.io.plugins import is_reference, load_object
+from motdiff.files.plugins import is_reference, load_object
 
 __all__ = ["code_file", "code_label", "find_code", "load_code", "load_codes", "stated_chip_ns"]
 

@@ -9,8 +9,8 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from cep.io.files import json_text
-from cep.io.outputs import write_text
+from cep.files.files import json_text
+from cep.files.outputs import write_text
 from cep.jobs.cells import Cell, Figure, Finished
 
 __all__ = ["CELL_SCHEMA", "ENGINE", "Cache"]

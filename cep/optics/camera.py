@@ -14,9 +14,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cep.io.outputs import write_text
-from motdiff.io.inputs import one_line, read_json, read_toml
-from motdiff.io.schemas import fault, load_schema
+from cep.files.outputs import write_text
+from motdiff.files.inputs import one_line, read_json, read_toml
+from motdiff.files.schemas import fault, load_schema
 from motdiff.simulate import add_noise, to_display, to_linear
 
 __all__ = ["LIGHT_LEVELS", "SCHEMA", "Camera", "camera_names"]
@@ -271,7 +271,7 @@ class Camera:
         values = {key: value for key, value in document.items() if key != "schema"}
         if (found := document.get("schema", SCHEMA)) != SCHEMA:
             raise ValueError(f'wanted schema "{SCHEMA}", found {found!r}')
-        if (wrong := fault(dict(document), load_schema("cep.io", "camera"))) is not None:
+        if (wrong := fault(dict(document), load_schema("cep.files", "camera"))) is not None:
             raise ValueError(wrong)
         if isinstance(bits := values.get("bits"), float):
             values["bits"] = int(bits)  # as some programs write whole numbers

@@ -9,7 +9,7 @@ from cep.plots.canvas import COLOURS, LINES, new_figure, plain_ticks
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from cep.workflows.advise import Advice
+    from cep.search.advise import Advice
 
 __all__ = ["advice_figure"]
 

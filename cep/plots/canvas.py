@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cep.io.outputs import new_file
+from cep.files.outputs import new_file
 from motdiff.simulate import to_display
 
 if TYPE_CHECKING:

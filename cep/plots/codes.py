@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.io.foreign_text import plot_text
-from cep.io.formatting import duration
+from cep.files.foreign_text import plot_text
+from cep.files.formatting import duration
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import mtf
 from cep.plots.canvas import COLOURS, LINES, least_pt, new_figure, plain_ticks

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cep.io.foreign_text import plot_text
+from cep.files.foreign_text import plot_text
 from cep.plots.canvas import COLOURS, new_figure, show_photo, thumbnail
 from motdiff.trajectory import Trajectory
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cep.io.formatting import number
+from cep.files.formatting import number
 from cep.optics.band import band_samples, uniform_length_px
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
@@ -17,8 +17,8 @@ from cep.optics.exposure import open_path
 from cep.optics.mtf import HOPELESS_DB, noise_variance, wiener_mse
 from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
-from motdiff.io.inputs import one_line
-from motdiff.io.plugins import load_object
+from motdiff.files.inputs import one_line
+from motdiff.files.plugins import load_object
 from motdiff.trajectory import Trajectory
 
 __all__ = [

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.io.formatting import duration
-from cep.io.images import encode_image
+from cep.files.formatting import duration
+from cep.files.images import encode_image
 from cep.optics.band import grid_samples
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf, mtf
@@ -28,8 +28,8 @@ from motdiff.psf_frame import PSF_PX
 if TYPE_CHECKING:
     from cep.optics.camera import Camera
     from cep.proofs.certify.certificate import Certificate
-    from cep.workflows.advise import Advice
-    from cep.workflows.demo_chain import Chain, Shot
+    from cep.report.demo_chain import Chain, Shot
+    from cep.search.advise import Advice
     from motdiff.trajectory import Trajectory
 
 __all__ = ["DEMO_PICTURES", "demo_report", "share_below_noise"]

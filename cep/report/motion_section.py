@@ -10,7 +10,7 @@ from motdiff.metrics import mnc_subpixel, path_distance_px, timed_distance_px
 from motdiff.psf_frame import PSF_PX
 
 if TYPE_CHECKING:
-    from cep.workflows.demo_chain import Chain
+    from cep.report.demo_chain import Chain
 
 __all__ = ["motion_section"]
 

@@ -15,9 +15,9 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cep.io.foreign_text import printable
-from cep.io.formatting import number
-from cep.io.outputs import write_text
+from cep.files.foreign_text import printable
+from cep.files.formatting import number
+from cep.files.outputs import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -32,7 +32,7 @@ _LARGEST_CROP_PX = 512
 _ONE_PSF_MNC = 0.9995  # both PSFs are computed, not estimated: small differences count
 _FEATURELESS = 1e-6
 # log odds = sum of weight * tanh(clue / scale), a logistic fit on 340 simulated photos; saturating, since an unusual
-# scene can make either clue large and wrong (benchmarks/direction.py)
+# scene can make either clue large and wrong (lab/studies/direction.py)
 _WEIGHTS = (1.25, 3.0)
 _SCALES = (0.003, 0.01)
 _SAME_RESTORATION_MNC = 0.97

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from cep.io.images import encode_image, write_image
+from cep.files.images import encode_image, write_image
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.blind import find_psf
@@ -25,7 +25,7 @@ from cep.restoration.spectral import channels_first, trimmed_psf
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
 from motdiff.crops import CLIPPED_LEVEL, clipped_mask
-from motdiff.io.plugins import is_reference, load_object
+from motdiff.files.plugins import is_reference, load_object
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
@@ -85,7 +85,7 @@ class Restoration:
     seconds: float
 
     def save(self, path: Path | str, *, bits: int = 8, gamma: str | float = "srgb") -> None:
-        """Write the restored photo; parameters and errors are those of :func:`cep.io.images.write_image`."""
+        """Write the restored photo; parameters and errors are those of :func:`cep.files.images.write_image`."""
         write_image(path, self.image, bits=bits, gamma=gamma)
 
     def _repr_png_(self) -> bytes:

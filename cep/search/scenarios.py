@@ -17,7 +17,7 @@ from cep.optics.band import uniform_length_px
 from cep.optics.exposure import chip_rows
 from cep.optics.response import ShutterResponse
 from cep.optics.timeline import checked_edges
-from motdiff.io.trajectories import StoredMotion
+from motdiff.files.trajectories import StoredMotion
 from motdiff.trajectory import Trajectory
 
 __all__ = [

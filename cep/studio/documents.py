@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 import cep
-from cep.io.files import StoredCode, json_text, read_code, read_json, stated_schema, stored_device
-from cep.io.formatting import seconds_of
-from cep.io.outputs import claim_folder, new_folder
+from cep.files.files import StoredCode, json_text, read_code, read_json, stated_schema, stored_device
+from cep.files.formatting import seconds_of
+from cep.files.outputs import claim_folder, new_folder
+from cep.studio.catalogue import shutter_name
 from cep.studio.fields import FieldError
+from cep.studio.motions import DEFAULT_AXES, gyro_motion, stored_paths
 from cep.studio.state import path_fields, read_state, saved_setting
 from cep.studio.views import STUDIO_SCHEMA, Views
-from cep.workflows.catalogue import shutter_name
-from cep.workflows.motions import DEFAULT_AXES, gyro_motion, stored_paths
 
 __all__ = ["EXTRACTED", "extract", "opened_document", "opened_gyro", "stored_state"]
 

@@ -95,7 +95,7 @@ class Jobs:
 
             for name, value in _MALLOC.items():  # the helper's, which is started here, and its children's
                 os.environ.setdefault(name, value)
-            self._context.set_forkserver_preload(["cep.studio.work", "cep.workflows.optimize"])
+            self._context.set_forkserver_preload(["cep.studio.work", "cep.search.optimize"])
             forkserver.ensure_running()
 
     def start(self, page: str, kind: str, order: Mapping[str, Any]) -> Job:

@@ -23,7 +23,8 @@ from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 from threadpoolctl import threadpool_limits
 
-from cep.io.images import RAW_SUFFIXES
+from cep.files.images import RAW_SUFFIXES
+from cep.studio import catalogue
 from cep.studio.documents import opened_document, opened_gyro
 from cep.studio.fields import FieldError
 from cep.studio.jobs import BusyError, Job, Jobs
@@ -32,7 +33,6 @@ from cep.studio.state import Setting, read_codes, read_search, read_setting
 from cep.studio.uploads import Uploads
 from cep.studio.views import Views, start_view
 from cep.studio.work import KINDS
-from cep.workflows import catalogue
 
 __all__ = ["bound_socket", "make_app", "serve"]
 
@@ -386,9 +386,9 @@ def _static(name: str) -> Response:
 
 def _bundled_photo() -> bytes:
     """Blurred photo of the demo, as a PNG file."""
-    from cep.io.images import encode_image
-    from cep.workflows.demo_chain import STANDARD_CAMERA
-    from cep.workflows.demo_scene import bundled_scene
+    from cep.files.images import encode_image
+    from cep.report.demo_chain import STANDARD_CAMERA
+    from cep.report.demo_scene import bundled_scene
 
     import cep  # isort: skip
 

@@ -13,7 +13,9 @@ from typing import Any, Literal
 import numpy as np
 
 import cep
-from cep.io.formatting import seconds_of
+from cep.files.formatting import seconds_of
+from cep.shutter.play import shutter_profile
+from cep.studio.catalogue import camera_names, example_motion, profile_names
 from cep.studio.fields import (
     LIMITS,
     MOST_CHIPS,
@@ -25,8 +27,6 @@ from cep.studio.fields import (
     read_number,
     read_whole,
 )
-from cep.workflows.catalogue import camera_names, example_motion, profile_names
-from cep.workflows.shutter import shutter_profile
 
 __all__ = ["Setting", "path_fields", "read_codes", "read_search", "read_setting", "read_state", "saved_setting"]
 

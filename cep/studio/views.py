@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import cep
-from cep.io.files import StoredCode, code_document, plain
-from cep.io.formatting import duration
-from cep.io.images import encode_image
+from cep.files.files import StoredCode, code_document, plain
+from cep.files.formatting import duration
+from cep.files.images import encode_image
+from cep.report.demo_scene import bundled_picture
+from cep.shutter.play import export_code
+from cep.studio import catalogue
 from cep.studio.fields import FieldError
+from cep.studio.live import LiveBench, LiveScene, broken_limits
 from cep.studio.state import Setting, path_fields, read_search, read_state
-from cep.workflows import catalogue
-from cep.workflows.demo_scene import bundled_picture
-from cep.workflows.live import LiveBench, LiveScene, broken_limits
-from cep.workflows.shutter import export_code
 
 __all__ = ["STUDIO_SCHEMA", "Views", "start_view"]
 

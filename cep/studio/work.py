@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cep.io.files import plain
+from cep.files.files import plain
 from cep.studio.fields import FieldError, disk_error
 from cep.studio.state import path_fields, read_search, read_setting
 
@@ -116,9 +116,9 @@ def lost_interrupts() -> Callable[[], None]:
 
 def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
-    from cep.io.images import encode_image, read_detail
-    from cep.io.outputs import new_file, write_bytes
-    from cep.workflows.sharpen import sharpen
+    from cep.files.images import encode_image, read_detail
+    from cep.files.outputs import new_file, write_bytes
+    from cep.restoration.sharpen import sharpen
 
     path = Path(order["path"])
     tell(0.0, "reading the photo")
@@ -206,7 +206,7 @@ def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
 
 def _play(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
-    from cep.workflows.shutter import on_ticks, play_emulated, shutter_profile
+    from cep.shutter.play import on_ticks, play_emulated, shutter_profile
 
     setting = read_setting(order["setting"])
     port = order["port"]

@@ -8,9 +8,9 @@ from typing import Any
 import typer
 from sphinx.application import Sphinx
 
-from cep.cli.main import app as cep
-from cep.io.works import works
-from cep.workflows.cite import citable, cite
+from cep.commands.citations import citable, cite
+from cep.commands.main import app as cep
+from cep.files.works import works
 
 
 def commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:

@@ -11,7 +11,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "files.md"
-PACKAGES = {"motdiff.io": ("trajectory",), "cep.io": (
+PACKAGES = {"motdiff.files": ("trajectory",), "cep.files": (
     "code", "camera", "front", "bench", "calibration-set", "proof", "program", "studio",
 )}  # fmt: skip
 _MARKED = re.compile(r"<!-- fields of (\S+) -->\n.*?<!-- end of fields -->", re.DOTALL)

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from motdiff.io.plugins import load_object
+from motdiff.files.plugins import load_object
 from motdiff.trajectory import Trajectory
 
 __all__ = ["Estimator", "FoundKernels", "MotionEstimate", "load_estimator"]

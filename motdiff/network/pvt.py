@@ -15,7 +15,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn import functional
 
-from motdiff.io.inputs import regular_file
+from motdiff.files.inputs import regular_file
 
 __all__ = ["VARIANTS", "PyramidVisionTransformer", "Variant", "load_backbone"]
 

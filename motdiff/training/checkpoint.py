@@ -14,7 +14,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from motdiff.io.inputs import read_json
+from motdiff.files.inputs import read_json
 
 __all__ = ["PART_BYTES", "Checkpoint", "read_checkpoint", "write_checkpoint"]
 

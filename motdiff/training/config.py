@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from motdiff.io.inputs import one_line, read_toml
+from motdiff.files.inputs import one_line, read_toml
 from motdiff.network.config import NetworkConfig
 from motdiff.psf_frame import PSF_PX
 from motdiff.training.motion_bank import MotionMix

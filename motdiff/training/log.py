@@ -8,7 +8,7 @@ import math
 import sys
 from pathlib import Path
 
-from motdiff.io.outputs import write_bytes, write_text
+from motdiff.files.outputs import write_bytes, write_text
 from motdiff.training.loop import Losses
 
 __all__ = ["RunLog", "last_validation", "read_log"]

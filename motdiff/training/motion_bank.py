@@ -14,8 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
-from motdiff.io.gyro_tables import read_gyro
 from motdiff.motions import boracchi_foi, quadratic, random_gyro_motion, random_straight
 from motdiff.processes import end_with_parent
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX, PSF_PX

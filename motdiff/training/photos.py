@@ -13,8 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from motdiff.io.inputs import regular_file
-from motdiff.io.outputs import write_bytes
+from motdiff.files.inputs import regular_file
+from motdiff.files.outputs import write_bytes
 
 __all__ = ["PICTURES", "crops", "load_photos", "load_scenes", "pack_photos"]
 

@@ -10,8 +10,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from motdiff.io.inputs import one_line, regular_file
-from motdiff.io.outputs import new_file
+from motdiff.files.inputs import one_line, regular_file
+from motdiff.files.outputs import new_file
 
 __all__ = ["load_shards", "shard_range", "write_shards"]
 

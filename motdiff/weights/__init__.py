@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
-from motdiff.io.inputs import one_line
-from motdiff.io.outputs import write_bytes
+from motdiff.files.inputs import one_line
+from motdiff.files.outputs import write_bytes
 from motdiff.network import MotDiffNetwork, NetworkConfig, PathNetwork, build_network
 from motdiff.training.checkpoint import read_checkpoint
 from motdiff.weights.correction import CORRECTION_WEIGHTS
@@ -21,9 +21,7 @@ from motdiff.weights_io import halved, read_header, read_tensors
 __all__ = [
     "DEFAULT_WEIGHTS",
     "MOTDIFF_FILES",
-    "PATH_WEIGHTS",
     "PHOTO_PARTS",
-    "PSF_WEIGHTS",
     "export_weights",
     "load_network",
     "load_path_network",
@@ -32,8 +30,6 @@ __all__ = [
 ]
 
 DEFAULT_WEIGHTS = Path(__file__).with_name("motdiff.safetensors")
-PATH_WEIGHTS = Path(__file__).with_name("parametric.safetensors")
-PSF_WEIGHTS = Path(__file__).with_name("psf_diffusion.safetensors")
 MOTDIFF_FILES = (DEFAULT_WEIGHTS, CORRECTION_WEIGHTS)
 """All that the method ``motdiff`` reads: what is cached of it depends on them."""
 PHOTO_PARTS = ("photo.", "fusion.")
@@ -157,7 +153,7 @@ def load_network(
     return network
 
 
-def load_path_network(path: Path | str = PATH_WEIGHTS, *, device: str | torch.device = "cpu") -> PathNetwork:
+def load_path_network(path: Path | str, *, device: str | torch.device = "cpu") -> PathNetwork:
     """Build the network of quadratic paths that a weights file belongs to; otherwise as :func:`load_network`."""
     network = _loaded(path, device)
     if not isinstance(network, PathNetwork):

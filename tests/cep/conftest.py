@@ -9,11 +9,11 @@ import pytest
 import typer
 from emulators.tools import give_up
 
-from cep.cli.main import main
-from cep.io.files import StoredCode, write_code
-from cep.io.images import write_image
+from cep.commands.main import main
+from cep.files.files import StoredCode, write_code
+from cep.files.images import write_image
 from cep.optics.code import ShutterCode
-from motdiff.io.trajectories import StoredMotion, write_motion
+from motdiff.files.trajectories import StoredMotion, write_motion
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 

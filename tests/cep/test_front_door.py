@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import cep as package
-from motdiff.io.plugins import load_object
-from motdiff.io.trajectories import read_motion
+from motdiff.files.plugins import load_object
+from motdiff.files.trajectories import read_motion
 from motdiff.simulate import blur_valid
 
 NAMES = sorted(set(package.__all__) - {"__version__"})
@@ -155,7 +155,7 @@ def test_a_figure_of_ones_own():
 
 
 def test_a_figure_that_fails_is_named_before_the_search(monkeypatch):
-    monkeypatch.setattr("cep.workflows.optimize.search", lambda *_args, **_options: pytest.fail("it was searched"))
+    monkeypatch.setattr("cep.search.optimize.search", lambda *_args, **_options: pytest.fail("it was searched"))
     problem = package.SearchProblem.along(package.Trajectory.straight(9.0), chips=8)
     for figure in (lambda _path, _code: 1 / 0, lambda _path, _code: None, lambda _path, _code: True):
         with pytest.raises(ValueError, match=r"^figure mine: "):

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import torch
 
+from lab.evaluation.methods import named_estimators
 from motdiff import commands
-from motdiff.evaluation.methods import named_estimators
 from motdiff.network.physics_maps import QuickStart, quick_kernels
 from motdiff.training import prepared as prepared_module
 from motdiff.training import samples as samples_module

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace, image_rates_rad_s, roll_rad, trajectory_from_gyro
-from motdiff.io.gyro_tables import read_gyro
 
 
 def trace(rate: np.ndarray, rate_hz: float = 200.0, start_s: float = 0.0) -> GyroTrace:

@@ -103,7 +103,7 @@ def test_one_thread_holds_for_jobs_within_jobs(monkeypatch):
 
 
 def test_whoever_only_imports_it_waits_for_no_torch():
-    code = "import sys, motdiff.threads, cep.workflows.calibrate_folder; assert 'torch' not in sys.modules"
+    code = "import sys, motdiff.threads, cep.calibration.calibrate_folder; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
 
 

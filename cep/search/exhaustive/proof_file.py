@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from cep.search.exhaustive.block_proof import VERSION, BlockPlan
-from motdiff.io.outputs import naming
-from motdiff.io.schemas import fault, load_schema
+from motdiff.files.outputs import naming
+from motdiff.files.schemas import fault, load_schema
 
 __all__ = ["FILE_NAME", "SCHEMA", "ProofFile"]
 
@@ -90,7 +90,7 @@ class ProofFile:
 
     def _take(self, record: Mapping[str, Any]) -> None:
         """Add a record that is on disk, or will be."""
-        if (wrong := fault(dict(record), load_schema("cep.io", "proof")["$defs"]["record"])) is not None:
+        if (wrong := fault(dict(record), load_schema("cep.files", "proof")["$defs"]["record"])) is not None:
             raise ValueError(wrong)
         index = self._number.get(record.get("first", -1), -1)
         if index < 0 or record.get("until") != self.plan.blocks[index].until:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from emulators.cluster import ROOT, cluster_in, killing_one, require_dask
 
-from cep.cli.console import BAD_INPUT, explain
+from cep.commands.console import BAD_INPUT, explain
 from cep.jobs.cells import Cell
 from cep.jobs.engine import run_cells
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from children import child
 
-from cep.cli.console import FAILURE, explain
+from cep.commands.console import FAILURE, explain
 from cep.jobs.cells import Cell
 from cep.jobs.engine import run_cells
 from cep.jobs.executors import in_processes

@@ -6,7 +6,6 @@ import zlib
 import numpy as np
 import pytest
 
-from cep.bench.blind.picture import Shown, blind_figure
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.photon_transfer import CodeRange, FramePair, photon_transfer
@@ -14,10 +13,11 @@ from cep.plots import code_strips, mtf_figure, save, trajectory_figure
 from cep.plots.advice import advice_figure
 from cep.plots.camera import photon_transfer_figure
 from cep.plots.canvas import PRINTED_IN, in_lines, least_pt
-from cep.plots.pareto import pareto_figure
-from cep.search.fronts.pareto import pareto_front
+from cep.search.advise import advise
 from cep.search.problem import SearchProblem
-from cep.workflows.advise import advise
+from lab.bench.blind.picture import Shown, blind_figure
+from lab.fronts.pareto import pareto_front
+from lab.fronts.plot import pareto_figure
 from motdiff.trajectory import Trajectory
 
 PATH = Trajectory.from_samples([[0, 0], [8, 2], [9, 9]], direction="known")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cep.io.images import encode_image
+from cep.files.images import encode_image
 from cep.report.result_page import Picture, Report, Section, Table, write_report
 
 PHONE, DESK = 380, 1200

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from skimage import data
 
-from cep.io.images import read_photo
+from cep.files.images import read_photo
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.restoration import METHODS, pnp, restore, wiener

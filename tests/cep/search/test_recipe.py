@@ -13,9 +13,9 @@ from cep.optics.response import ShutterResponse
 from cep.search import recipe
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
+from cep.search.optimize import Search, search
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
 from cep.search.recipe import baselines, search_code
-from cep.workflows.optimize import Search, search
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])

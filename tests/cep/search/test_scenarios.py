@@ -18,7 +18,7 @@ from cep.search.scenarios import (
     scenario_rows,
     speed_range,
 )  # fmt: skip
-from motdiff.io.trajectories import StoredMotion
+from motdiff.files.trajectories import StoredMotion
 from motdiff.trajectory import Trajectory
 
 CODE = ShutterCode("1011000101")

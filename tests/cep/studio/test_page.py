@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from cep.io.images import encode_image
+from cep.files.images import encode_image
 from cep.studio.state import saved_setting
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow  # a server of its own, and a browser
 
 def started(*arguments, **streams):
     """Start a studio in a process of its own, as the command does: the process, and the address that it told."""
-    command = [sys.executable, "-c", "from cep.cli.main import run; run()", "studio", "--json", *arguments]
+    command = [sys.executable, "-c", "from cep.commands.main import run; run()", "studio", "--json", *arguments]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **streams)
     told = ""
     while not told.rstrip().endswith("}"):

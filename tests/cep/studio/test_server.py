@@ -14,14 +14,14 @@ from hostile_requests import hostile
 from starlette.requests import ClientDisconnect
 
 import cep
-from cep.io.images import RAW_SUFFIXES, encode_image, read_image
+from cep.files.images import RAW_SUFFIXES, encode_image, read_image
+from cep.search.advise import verdict
 from cep.studio import server
 from cep.studio.jobs import BusyError
 from cep.studio.server import bound_socket
 from cep.studio.state import read_setting
 from cep.studio.uploads import Uploads
 from cep.studio.views import Views
-from cep.workflows.advise import verdict
 
 
 def posted(client, name, **asked):

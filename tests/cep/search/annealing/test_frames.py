@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep.io.files import read_code
+from cep.files.files import read_code
 from cep.optics.band import band_samples
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import open_path

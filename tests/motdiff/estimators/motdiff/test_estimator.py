@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from lab.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import noise_sigma
 from motdiff.estimators.motdiff import MotDiffEstimator, correcting, drawing
@@ -14,7 +15,6 @@ from motdiff.estimators.motdiff.correcting import corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.estimators.pmp.estimator import STARTS, Start, planned
-from motdiff.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.metrics import mnc_subpixel
 from motdiff.network import NetworkConfig
 from motdiff.network.physics_maps import QUICK_STARTS, autocorrelation, spectral_maps
@@ -711,7 +711,7 @@ def test_other_names_are_refused(oracle_weights, name):
 
 def test_a_method_may_name_its_file_of_weights(oracle_weights, monkeypatch, tmp_path):
     taken = []
-    monkeypatch.setattr("motdiff.evaluation.methods.NetworkAlone", lambda weights, **_: taken.append(weights))
+    monkeypatch.setattr("lab.evaluation.methods.NetworkAlone", lambda weights, **_: taken.append(weights))
     monkeypatch.setattr("motdiff.estimators.motdiff.MotDiffEstimator", lambda *, weights: taken.append(weights))
     file = tmp_path / "run 2.safetensors"
     file.touch()

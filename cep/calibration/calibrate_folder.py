@@ -1,0 +1,244 @@
+"""The motion in each photo of a folder: ``cep calibrate FOLDER``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cep.calibration.calibrate import CALIBRATION_FILES, check_options, write_calibration
+from cep.jobs.folders import FolderResults, NotWrittenError, is_spelled, run_folder
+from cep.calibration.photo_cell import estimate_from_figures, estimate_photo, estimator_version
+from cep.files.images import PHOTO_SUFFIXES, parse_gamma, read_image, read_photo
+from cep.files.outputs import claim_folder
+from cep.jobs.cells import Cell, Figure
+from cep.jobs.engine import Engine
+from motdiff.estimators.base import MotionEstimate
+
+__all__ = ["calibrate_folder", "describe_motion", "photos_in", "sharp_of", "unreadable"]
+
+
+_SUMMARY = "motions.csv"
+_OF_THE_ESTIMATE = (
+    "psf_confidence", "path_confidence", "order_confidence", "path_uncertainty_px", "repeatability", "left_out",
+)  # fmt: skip
+"""Figures of some estimators alone."""
+_COLUMNS = (
+    "photo", "length_px", "extent_px", "direction", "confidence", "seconds", "method", "warnings", "failure",
+)  # fmt: skip
+
+
+def calibrate_folder(
+    folder: Path,
+    output: Path | None = None,
+    *,
+    method: str = "motdiff",
+    samples: int | None = None,
+    sharp: Path | None = None,
+    gamma: str = "srgb",
+    seed: int = 0,
+    cache: Path | None = None,
+    workers: int | None = None,
+    dask: str | None = None,
+    force: bool = False,
+    progress: Callable[[float, str], None] = lambda _fraction, _note: None,
+) -> FolderResults:
+    """Estimate and write the motion in each photo, one by one; one that fails costs no other.
+
+    Parameters
+    ----------
+    folder : Path
+        Photos.
+    output : Path, optional
+        Folder to write into, with a folder for each photo, named like it, and ``motions.csv``; ``FOLDER_motion`` when
+        omitted.
+    method, samples, seed
+        As of :func:`cep.calibration.calibrate.make_estimator`; no "gyro", whose ``start_s`` is that of one photo.
+    sharp : Path, optional
+        For "reference": a sharp photo, or a folder with one for each photo, by name.
+    gamma : str
+        Of the photos, as of :func:`cep.files.images.read_photo`.
+    cache : Path, optional
+        Folder of finished photos; ``cells`` in the output when omitted.
+    workers : int, optional
+        Processes; as many as cores when omitted.
+    dask : str, optional
+        Scheduler of a cluster to run on.
+    force : bool
+        Whether existing files may be replaced.
+    progress : callable, optional
+        Called with the fraction done and a note.
+
+    Returns
+    -------
+    FolderResults
+        After Ctrl-C with the photos finished until then. What is found in a photo is described as
+        :func:`describe_motion` does.
+
+    Raises
+    ------
+    ValueError
+        If there are no photos, a file is in the way, or an option is not valid.
+    """
+    if method == "gyro":
+        raise ValueError("method gyro: start_s is the opening of one photo; give the photos of a folder one by one")
+    check_options(method, {"samples": samples, "sharp": sharp})
+    parse_gamma(gamma)
+    photos = photos_in(folder, but=sharp)
+    sharps = {} if sharp is None else sharp_of(photos, sharp)
+    if sharp is not None and not sharp.is_dir():
+        read_image(sharp, gamma=gamma, variable="x")  # what is wrong with it is wrong with every photo
+    named = folder if folder.name not in ("", "..") else folder.resolve()  # as "." has no name of its own
+    target = output or named.with_name(f"{named.name}_motion")
+    claim_folder(target, [_SUMMARY], force=force)
+    for photo in photos:
+        claim_folder(target / photo.stem, CALIBRATION_FILES, force=force)
+    by_label = {_label(photo): photo for photo in photos}
+    failures = {label: reason for label, photo in by_label.items() if (reason := unreadable(photo))}
+    version = estimator_version(method)
+    cells = [
+        Cell(
+            (label,),
+            estimate_photo,
+            {
+                "photo": photo, "method": method, "samples": samples, "gamma": gamma, "seed": seed,
+                "sharp": sharps.get(photo),
+            },
+            version,
+        )
+        for label, photo in by_label.items()
+        if label not in failures
+    ]  # fmt: skip
+
+    def write(label: str, figures: Mapping[str, Figure]) -> dict[str, Any]:
+        """Write what was found in a photo as ``cep calibrate PHOTO`` does."""
+        photo = by_label[label]
+        try:
+            read = read_photo(photo, gamma=gamma)
+        except (ValueError, OSError) as error:  # it was there when its motion was estimated, maybe hours ago
+            raise NotWrittenError(f"has changed since: {error}") from None
+        found, warnings = estimate_from_figures(figures)
+        source = {"image": str(photo), "seed": seed}
+        bits = min(read.bits, 16)
+        files = write_calibration(
+            target / photo.stem, found, read.pixels, source=source, force=force, bits=bits, gamma=gamma
+        )
+        return describe_motion(found, files, seconds=figures["seconds"], warnings=warnings)
+
+    return run_folder(
+        target, {label: target / photo.stem for label, photo in by_label.items()}, cells, noun="photos",
+        files=CALIBRATION_FILES, summary=_SUMMARY, columns=_COLUMNS, failures=failures, write=write,
+        engine=Engine.of(target, cache=cache, workers=workers, dask=dask), force=force, progress=progress,
+    )  # fmt: skip
+
+
+def describe_motion(
+    found: MotionEstimate, files: Mapping[str, Path], *, seconds: Figure, warnings: Sequence[str]
+) -> dict[str, Any]:
+    """Describe a calibration as the JSON of a photo and of a folder has it.
+
+    Parameters
+    ----------
+    found : MotionEstimate
+    files : mapping from a file's name to its path
+        As of :func:`cep.calibration.calibrate.write_calibration`.
+    seconds : float
+        That the estimate took.
+    warnings : sequence of str
+        About the photo and the estimate.
+    """
+    motion = found.best
+    return {
+        "method": found.method,
+        "trajectory": files["trajectory.json"],
+        "psf": files["psf.npy"],
+        "length_px": motion.length_px,
+        "extent_px": motion.extent_px,
+        "direction": motion.direction,
+        "confidence": found.confidence,
+        **{name: found.details[name] for name in _OF_THE_ESTIMATE if name in found.details},
+        "seconds": seconds,
+        "warnings": warnings,
+        "files": list(files.values()),
+        "details": found.details,
+    }
+
+
+def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...]:
+    """List the photos of a folder, sorted; no hidden files, no subfolders, and no pictures of PSFs.
+
+    A ``NAME_psf.png`` beside ``NAME_psf.npy`` is what ``cep simulate`` writes beside a photo.
+
+    Parameters
+    ----------
+    folder : Path
+    but : Path, optional
+        A photo that is left out.
+
+    Raises
+    ------
+    ValueError
+        If there are none, or two would have the same name without its suffix.
+    """
+    root = Path(folder)
+    found = [
+        path
+        for path in sorted(root.iterdir())
+        if path.suffix.lower() in PHOTO_SUFFIXES
+        and not path.name.startswith(".")
+        and not (path.name.endswith("_psf.png") and path.with_suffix(".npy").is_file())
+        and (path.is_file() or not path.exists())  # a link that leads nowhere is told of, not passed over
+        and not (but is not None and path.exists() and path.samefile(but))
+    ]
+    if not found:
+        raise ValueError(f"{root}: holds no photos (.png, .tif, .jpg, .webp or RAW files; subfolders are left alone)")
+    by_stem: dict[str, Path] = {}
+    for path in found:
+        other = by_stem.setdefault(path.stem.casefold(), path)  # some file systems do not tell A from a
+        if other is not path:
+            raise ValueError(
+                f"{root}: {other.name} and {path.name} would be written to one folder {path.stem}; rename one of them"
+            )
+    return tuple(found)
+
+
+def unreadable(photo: Path) -> str:
+    """Say why a photo cannot even be opened, empty where it can; and a name that no table can hold is refused."""
+    if not is_spelled(photo.name):
+        return "the name is no UTF-8, rename it"
+    try:
+        photo.open("rb").close()
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+def sharp_of(photos: Iterable[Path], sharp: Path | str) -> dict[Path, Path]:
+    """Find the sharp photo of each blurred one: the same for all, or of the same name in a folder.
+
+    Parameters
+    ----------
+    photos : iterable of Path
+    sharp : Path
+        A photo, or a folder with a photo for each.
+
+    Raises
+    ------
+    ValueError
+        If the folder lacks one; the line names it.
+    """
+    root = Path(sharp)
+    if not root.is_dir():
+        return dict.fromkeys(photos, root)
+    by_stem = {path.stem: path for path in photos_in(root)}
+    pairs = {}
+    for photo in photos:
+        if photo.stem not in by_stem:
+            raise ValueError(f"{root}: holds no sharp photo named {photo.stem}, for {photo}")
+        pairs[photo] = by_stem[photo.stem]
+    return pairs
+
+
+def _label(photo: Path) -> str:
+    """Return the photo's name as it can be printed, whatever bytes it has."""
+    return photo.name.encode("utf-8", "backslashreplace").decode()

@@ -1,0 +1,192 @@
+"""Search for codes of several photos of one motion that tell its order in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.calibration.order_separation import BLIND_ERROR, OrderSeparation
+from cep.codes.published import published
+from cep.optics.code import ShutterCode
+from cep.search.limits import Limits, RunLimits, feasible, nearest
+from cep.search.sampling import draw
+
+__all__ = ["gray_planes", "longest_unseen", "search_order_codes"]
+
+Code = NDArray[np.int8]
+FloatArray = NDArray[np.float64]
+
+_DRAWN, _MOST_PULSES = 16, 8  # codes drawn for each limit on the openings, and the largest of these limits
+_SWEEPS = 6
+_UNSEEN_PARTS = 8  # the motion may be unseen for one of so many parts of the exposure
+_GRAY_PLANES = (1, 2, 3, 4)
+_DE_BRUIJN = ("00010111", "0000100110101111", "00000100011001010011101011011111")
+
+
+def search_order_codes(
+    limits: Limits,
+    photos: int,
+    *,
+    measure: OrderSeparation,
+    rng: np.random.Generator,
+    progress: Callable[[float], None] = lambda _share: None,
+) -> tuple[Code, ...]:
+    """Search codes whose photos confuse orders of the fewest motions: the best of many codes, then edge by edge.
+
+    Two photos or more begin with the open shutter where the limits allow it: it fixes the path, of which only the order
+    is left to tell. At no time are all shutters closed for more than an eighth of the exposure, if it can be avoided.
+
+    Parameters
+    ----------
+    limits : Limits
+        That every code keeps.
+    photos : int
+    measure : OrderSeparation
+        Of as many chips.
+    rng : numpy Generator
+    progress : callable
+        Called with the finished share 0..1.
+
+    Returns
+    -------
+    tuple of (n,) int8 of 0 and 1, one per photo
+
+    Raises
+    ------
+    ValueError
+        If every code within the limits is its own mirror image.
+    """
+    whole = np.ones(limits.chips, dtype=np.int8)
+    given = [whole] if photos > 1 and limits.satisfied(whole[None])[0] else []
+    search = _Search(limits, measure)
+    candidates = _known(limits)
+    searched = (
+        not given or photos > 2
+    )  # one code beside the open shutter, if searched, fits the few walks of the design
+    if searched or all(map(_is_own_mirror, candidates)):
+        candidates += _drawn(limits, rng)
+    for i, code in enumerate(candidates):
+        search.separation(code)
+        progress(0.6 * i / len(candidates))
+    chosen: list[Code] = []
+    while len(given) + len(chosen) < photos:
+        rest = [*given, *chosen]
+        chosen.append(search.best(candidates, rest))
+    for done in range(_SWEEPS if searched else 0):
+        before = search.score([*given, *chosen])
+        for i in range(len(chosen)):
+            rest = [*given, *chosen[:i], *chosen[i + 1 :]]
+            chosen[i] = search.best([chosen[i], *candidates], rest)
+            chosen[i] = search.best([chosen[i], *search.neighbours(chosen[i])], rest)
+        progress(0.6 + 0.4 * (done + 1) / _SWEEPS)
+        if search.score([*given, *chosen]) <= before:
+            break
+    if all(map(_is_own_mirror, chosen)):
+        raise ValueError(
+            f"chips: every code of {limits.chips} chips within the limits is its own mirror image, which tells no "
+            "direction; more or shorter chips would do"
+        )
+    return (*given, *chosen)
+
+
+class _Search:
+    """Scores of sets of codes within limits; what each code separates is computed once."""
+
+    def __init__(self, limits: Limits, measure: OrderSeparation) -> None:
+        self._limits, self._measure = limits, measure
+        self._separations: dict[bytes, FloatArray] = {}
+
+    def separation(self, code: Code) -> FloatArray:
+        key = code.tobytes()
+        if key not in self._separations:
+            self._separations[key] = self._measure.of(code)
+        return self._separations[key]
+
+    def score(self, codes: Sequence[Code]) -> tuple[int, float]:
+        """Score of a set, higher is better: no direction lost, nothing unseen for too long, few walks confused."""
+        chips = self._limits.chips
+        excess = max(0, longest_unseen(np.stack(codes)) - max(1, chips // _UNSEEN_PARTS))
+        if all(map(_is_own_mirror, codes)):
+            excess += chips
+        # the worst order of each walk, but the mean over walks: a worst tenth fits the few walks of the design
+        least = self._measure.of_each_motion(np.sum([self.separation(code) for code in codes], axis=0))
+        confused = np.exp(-least / BLIND_ERROR)
+        return -excess, -float(confused.mean())
+
+    def best(self, codes: Sequence[Code], rest: Sequence[Code]) -> Code:
+        """Return the code, the first of several, that makes the best set with the rest."""
+        return max(codes, key=lambda code: self.score([*rest, code]))
+
+    def neighbours(self, code: Code) -> list[Code]:
+        """Codes within the limits that have one edge moved by up to two chips, or all of them by up to three."""
+        made = [np.roll(code, by) for by in (-3, -1, 1, 3)]
+        for edge in np.flatnonzero(np.diff(code)) + 1:
+            for by in (-2, -1, 1, 2):
+                first, end = sorted((edge, min(max(edge + by, 0), len(code))))
+                moved = code.copy()
+                moved[first:end] = code[edge] if by < 0 else code[edge - 1]
+                made.append(moved)
+        return [one for one, kept in zip(made, self._limits.satisfied(np.stack(made)), strict=True) if kept]
+
+
+def gray_planes(planes: int, chips: int) -> Code:
+    """Bit planes (planes, chips) of a Gray code of 2^planes bins, the slowest first.
+
+    Examples
+    --------
+    >>> gray_planes(3, 8)[2].tolist()
+    [0, 1, 1, 0, 0, 1, 1, 0]
+    """
+    number = _stretched(np.arange(2**planes), chips)
+    return np.asarray((number ^ (number >> 1)) >> np.arange(planes)[::-1, None] & 1, dtype=np.int8)
+
+
+def longest_unseen(codes: ArrayLike) -> int:
+    """Most chips in a row that are closed in every one of codes (I, n).
+
+    Examples
+    --------
+    >>> longest_unseen([[1, 0, 0, 0], [0, 0, 0, 1]])
+    2
+    """
+    seen = ShutterCode(np.any(np.asarray(codes), axis=0))
+    return max((length for is_open, length in seen.runs if not is_open), default=0)
+
+
+def _known(limits: Limits) -> list[Code]:
+    """Known codes and their complements, brought within the limits."""
+    chips = limits.chips
+    texts = (*_DE_BRUIJN, published("raskar-52").code.bits)
+    known = [plane for planes in _GRAY_PLANES for plane in gray_planes(planes, chips)]
+    known += [_stretched(np.array(list(text), dtype=np.int8), chips) for text in texts]
+    ramp = np.diff(np.floor(0.5 * chips * np.linspace(0, 1, chips + 1) ** 2 + 0.5)) > 0  # open ever more often
+    known.append(ramp.astype(np.int8))
+    near = (nearest(limits, code) for plain in known for code in (plain, 1 - plain))
+    return _without_repeats([code for code in near if code is not None])
+
+
+def _drawn(limits: Limits, rng: np.random.Generator) -> list[Code]:
+    """Random codes of few openings."""
+    found: list[Code] = []
+    for pulses in range(1, _MOST_PULSES + 1):
+        few = replace(limits, runs=limits.runs.tightened(RunLimits(max_pulses=pulses)))
+        if feasible(few):
+            found += list(draw(few, _DRAWN, rng=rng))
+    return _without_repeats(found)
+
+
+def _without_repeats(codes: Sequence[Code]) -> list[Code]:
+    return list({code.tobytes(): code for code in codes}.values())
+
+
+def _is_own_mirror(code: Code) -> bool:
+    return bool((code == code[::-1]).all())
+
+
+def _stretched(values: NDArray[Any], chips: int) -> NDArray[Any]:
+    """Repeat values so that they last for so many chips, each as long as the others."""
+    return values[np.arange(chips) * len(values) // chips]

@@ -1,0 +1,172 @@
+"""A camera's figures from frames that it took: gain, read noise and full well by the photon-transfer method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.files.images import RAW_SUFFIXES, read_codes, read_mosaic
+from cep.files.outputs import claim
+from cep.optics.camera import Camera
+from cep.optics.photon_transfer import CodeRange, FramePair, PhotonTransfer, find_code_range, photon_transfer
+from cep.plots.camera import photon_transfer_figure
+from cep.plots.canvas import check_figure_name, save
+from motdiff.simulate import to_linear
+
+__all__ = ["CameraEstimate", "estimate_camera"]
+
+_LOSSY = (".jpg", ".jpeg", ".webp")
+_FRAME_SIDE_PX = 16
+
+
+@dataclass(frozen=True)
+class CameraEstimate:
+    """A camera measured.
+
+    Attributes
+    ----------
+    camera : Camera
+    transfer : PhotonTransfer
+    """
+
+    camera: Camera
+    transfer: PhotonTransfer
+
+    def save(self, path: Path, figure: Path | None = None, *, force: bool = False) -> tuple[Path, Path]:
+        """Write the camera's file and the curve as a figure, beside it as .png when omitted; returns both paths."""
+        figure = path.with_suffix(".png") if figure is None else figure
+        check_figure_name(figure)
+        with claim([path, figure], force=force).written() as made:
+            self.camera.to_file(made[path])
+            save(photon_transfer_figure(self.transfer), made[figure])
+        return path, figure
+
+
+@dataclass(frozen=True)
+class _Frame:
+    codes: NDArray[np.uint16]
+    file_bits: int
+    raw: tuple[float, int] | None = None  # black and white of a RAW file
+    warnings: tuple[str, ...] = ()
+
+
+def estimate_camera(
+    flats: Sequence[Path],
+    *,
+    dark: Sequence[Path] = (),
+    black_dn: float | None = None,
+    bits: int | None = None,
+    gamma: str = "linear",
+    name: str = "",
+    progress: Callable[[float], None] = lambda _: None,
+) -> CameraEstimate:
+    """Measure a camera from pairs of evenly lit frames and a pair of dark ones.
+
+    Parameters
+    ----------
+    flats : sequence of Path
+        Two frames of each level of light, one after the other: grey PNG or TIFF files of 8 or 16 bits, or RAW files, of
+        which the pixels under the first green filter are taken.
+    dark : sequence of two paths, optional
+        Frames without light, of the same exposure.
+    black_dn : float, optional
+        Code value without light, where there are no dark frames. That of RAW files is known.
+    bits : int, optional
+        Of the camera; found from the values when omitted.
+    gamma : {"linear", "srgb"}
+        Curve on which the code values are evenly spaced.
+    name : str
+        Of the camera.
+    progress : callable, optional
+        Is given the share of the work done.
+
+    Raises
+    ------
+    ValueError
+        If a file is not such a frame, or the frames do not show a camera's noise; the line names the files.
+    OSError
+        If a file cannot be read.
+    """
+    if gamma not in ("linear", "srgb"):
+        raise ValueError(f'gamma: must be "linear" or "srgb" for frames of a camera, got {gamma!r}')
+    if black_dn is not None and not (np.isfinite(black_dn) and black_dn >= 0):
+        raise ValueError(f"black_dn: must be a code value of 0 or more, got {black_dn:g}")
+    if dark and black_dn is not None:
+        raise ValueError("black_dn and dark: give one of them, dark frames show the black level")
+    if len(flats) < 2 or len(flats) % 2:
+        raise ValueError(
+            f"flats: must be two frames of each level of light, got {len(flats)}; each in a file of its own"
+        )
+    if len(dark) not in (0, 2):
+        raise ValueError(f"dark: must be two frames, got {len(dark)}")
+    levels = len(flats) // 2
+    files = [*zip(flats[::2], flats[1::2], strict=True), *([(dark[0], dark[1])] if dark else [])]
+    response: Literal["linear", "srgb"] = "srgb" if gamma == "srgb" else "linear"
+    pairs, kinds, warnings = [], set(), []
+    for done, (first, second) in enumerate(files):
+        frames = _read_frame(first), _read_frame(second)
+        warnings += [line for frame in frames for line in frame.warnings]
+        kinds |= {(frame.file_bits, frame.raw) for frame in frames}
+        if len(kinds) > 1:
+            raise ValueError(f"{second}: is of another kind than the frames before it: bits, black or white differ")
+        pairs.append(_pair(first, second, frames, response))
+        progress((done + 1) / len(files))
+    file_bits, raw = kinds.pop()
+    if raw is not None:
+        codes = CodeRange(bits or raw[1].bit_length(), top_dn=float(raw[1]))
+        black_dn = raw[0] if black_dn is None else black_dn
+    else:
+        codes = find_code_range(pairs, file_bits=file_bits, bits=bits)
+    try:
+        found = photon_transfer(
+            pairs[:levels], codes=codes, dark=pairs[-1] if dark else None, black_dn=black_dn, response=response
+        )
+    except ValueError as error:
+        raise ValueError(_with_files(str(error), files)) from None
+    black = "a pair of dark frames" if dark else "no dark frames"
+    source = f"photon-transfer curve of {levels} pair{'s' if levels > 1 else ''} of flat frames and {black}"
+    camera = found.camera(name=name, source=source)
+    return CameraEstimate(camera, replace(found, warnings=(*warnings, *found.warnings)))
+
+
+def _pair(first: Path, second: Path, frames: tuple[_Frame, _Frame], response: str) -> FramePair:
+    table = None
+    if response == "srgb":
+        full = 2 ** frames[0].file_bits - 1
+        table = to_linear(np.arange(65536) / full) * full
+    try:
+        return FramePair.of(frames[0].codes, frames[1].codes, codes=table)
+    except ValueError as error:
+        raise ValueError(f"{first} and {second}: {error}") from None
+
+
+def _read_frame(path: Path) -> _Frame:
+    """Read the code values of a frame."""
+    suffix = path.suffix.lower()
+    if suffix in _LOSSY:
+        raise ValueError(f"{path}: its noise was compressed away; give PNG, TIFF or RAW files")
+    if suffix in RAW_SUFFIXES:
+        mosaic = read_mosaic(path)
+        return _Frame(mosaic.green, 16, (mosaic.black_dn, mosaic.white_dn))
+    codes, warnings = read_codes(path, min_side_px=_FRAME_SIDE_PX)
+    if codes.ndim == 3:
+        if (codes != codes[:, :, :1]).any():
+            raise ValueError(f"{path}: is a colour picture, whose pixels are interpolated; give grey or RAW files")
+        codes = codes[:, :, 0]
+    return _Frame(codes.astype(np.uint16), 8 * codes.dtype.itemsize, warnings=warnings)
+
+
+def _with_files(line: str, files: Sequence[tuple[Path, Path]]) -> str:
+    """Put the files' names for "pair 2:" or "dark:" into an error."""
+    where, colon, rest = line.partition(": ")
+    if where == "dark":
+        return f"{files[-1][0]} and {files[-1][1]}{colon}{rest}"
+    if where.startswith("pair ") and where[5:].isdigit():
+        first, second = files[int(where[5:]) - 1]
+        return f"{first} and {second}{colon}{rest}"
+    return line

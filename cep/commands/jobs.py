@@ -1,0 +1,142 @@
+"""What commands share that do one thing for everything in a folder: the run, its table, and how it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cep.commands.console import FAILURE, INTERRUPTED, finish, table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from cep.jobs.folders import FolderResults
+    from cep.files.outputs import Outputs
+
+__all__ = [
+    "MANY",
+    "Cache",
+    "Dask",
+    "Workers",
+    "end",
+    "finish_folder",
+    "only_of_folders",
+]
+
+
+def only_of_folders(where: str, workers: int | None, dask: str | None, cache: Path | None) -> None:
+    """Refuse the engine's options where there is one thing to do."""
+    for name, value in (("--workers", workers), ("--dask", dask), ("--cache", cache)):
+        if value is not None:
+            raise ValueError(f"{name}: is for a folder ({where}), here is a single one")
+
+
+def finish_folder(
+    result: Mapping[str, object],
+    columns: Mapping[str, str],
+    found: FolderResults,
+    *,
+    title: str,
+    noun: str,
+    as_json: bool,
+    outputs: Outputs | None = None,
+    tables: Path | None = None,
+) -> None:
+    """Print the table of a folder and end the command.
+
+    Parameters
+    ----------
+    result : mapping
+        For JSON, with ``summary``, the table's file; failures, ``missing`` and the warnings are added.
+    columns : mapping from a row's key to the head that people read
+        The first is the name; a figure that no row has is left out.
+    found : FolderResults
+    title, noun : str
+        Of the table, and what its rows are, in the plural.
+    as_json : bool
+    outputs, tables : optional
+        As of :func:`cep.commands.console.finish`.
+
+    Raises
+    ------
+    typer.Exit
+        1 where a row failed, 130 after Ctrl-C.
+    """
+    from cep.jobs.folders import NOT_REACHED
+
+    name, *figures = columns
+    rows, missing = found.rows, found.missing
+    failures = {
+        str(row[name]): str(row["failure"]) for row in rows if row.get("failure") not in (None, "", NOT_REACHED)
+    }
+    told = [*found.warnings, *(f"{failed}: {reason}" for failed, reason in failures.items())]
+    if missing:
+        told.append(f"stopped early: {missing} {noun} are left out; the same command with --force goes on")
+
+    def show(console: Console) -> None:
+        shown = [key for key in figures if any(row.get(key) is not None for row in rows)]
+        lines = [(str(row[name]), *(row.get(key) for key in shown), _state(row)) for row in rows]
+        console.print(table(title, (columns[name], *(columns[key] for key in shown), "warnings"), lines, kept=1))
+        console.print(str(result["summary"]))
+
+    finish(
+        {**result, "failures": failures, "missing": missing, "warnings": told},
+        as_json=as_json,
+        show=show,
+        outputs=outputs,
+        tables=tables,
+    )
+    end(missing=missing, failed=len(failures))
+
+
+def end(*, missing: int, failed: int) -> None:
+    """End a command of many parts, whose outputs are written, with the exit code that tells how it went.
+
+    Raises
+    ------
+    typer.Exit
+        130 where Ctrl-C left parts out, else 1 where parts failed.
+    """
+    if missing:
+        raise typer.Exit(INTERRUPTED)
+    if failed:
+        raise typer.Exit(FAILURE)
+
+
+def _state(row: Mapping[str, object]) -> str:
+    """Say in a word how a row came out; the reasons and the warnings themselves are told on stderr."""
+    from cep.jobs.folders import NOT_REACHED
+
+    failure, warnings = row.get("failure"), row.get("warnings")
+    if failure:
+        return NOT_REACHED if failure == NOT_REACHED else "failed"
+    return str(len(warnings)) if isinstance(warnings, Sequence) and warnings else ""
+
+
+MANY = "Folders and benchmarks"
+"""Panel of the help pages for work that is cut into cells."""
+
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        "--workers", metavar="N", min=1, rich_help_panel=MANY,
+        help="Processes of one thread, or threads of a proof; as many as cores when omitted.",
+    ),
+]  # fmt: skip
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        "--dask", metavar="ADDRESS", rich_help_panel=MANY,
+        help="Scheduler of a Dask cluster to run on, as tcp://host:8786; photos must lie at the same paths there.",
+    ),
+]  # fmt: skip
+Cache = Annotated[
+    Path | None,
+    typer.Option(
+        "--cache", metavar="FOLDER", rich_help_panel=MANY,
+        help="Folder of finished cells, found again; cells in the output when omitted.",
+    ),
+]  # fmt: skip

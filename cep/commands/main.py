@@ -1,0 +1,154 @@
+"""The ``cep`` command itself: its table of commands, and one line instead of a traceback."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from cep.commands import (
+    advise,
+    calibrate,
+    calibration_set,
+    camera,
+    cite,
+    code,
+    controller,
+    deblur,
+    demo,
+    hardware,
+    optimize,
+    refine,
+    simulate,
+    studio,
+)
+from cep.commands.commands import Command, Group
+from cep.commands.console import BAD_INPUT, FAILURE, INTERRUPTED, complain, explain, warn
+
+__all__ = ["app", "main", "run", "run_app"]
+
+IN_THE_LAB = ("bench", "pareto")
+"""Commands of earlier versions that are not part of the product."""
+
+
+class _Commands(Group):
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as error:
+            for note in getattr(error, "__notes__", ()):  # typer drops them
+                warn(note)
+            raise
+
+
+app = typer.Typer(
+    name="cep",
+    cls=_Commands,
+    help="Coded exposure: from one blurred photo to the shutter code for its motion, and back to a sharp photo.",
+    epilog="Begin with: cep demo -o demo",
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from cep import __version__
+
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version)
+    ] = False,
+) -> None:
+    pass  # the option's callback acts, before a missing command is complained about
+
+
+app.command("calibrate")(calibrate.calibrate)
+app.command("calibration-set")(calibration_set.calibration_set)
+app.command("refine")(refine.refine)
+app.command("advise")(advise.advise)
+app.command("optimize")(optimize.optimize)
+app.command("audit")(code.audit)
+app.command("mtf")(code.mtf)
+app.command("simulate")(simulate.simulate)
+app.command("deblur")(deblur.deblur)
+app.command("export")(hardware.export)
+app.command("upload")(hardware.upload)
+app.add_typer(camera.camera, name="camera", cls=Group)
+app.add_typer(controller.hw, name="hw", cls=Group)
+app.command("cite")(cite.cite)
+app.command("studio")(studio.studio)
+app.command("demo")(demo.demo)
+for _group in (app, camera.camera, controller.hw):
+    for _command in _group.registered_commands:
+        _command.cls = Command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code: 0 done, 1 failed, 2 bad input, 130 interrupted.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command line without the program's name; that of this process when omitted.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    if given[0] in IN_THE_LAB:
+        complain(f"{given[0]}: moved to the laboratory, in the repository: python -m lab {given[0]}")
+        return BAD_INPUT
+    return run_app(app, given, name="cep")
+
+
+def run_app(app: typer.Typer, arguments: Sequence[str], *, name: str) -> int:
+    """Run one command of an app and return its exit code, with one line instead of a traceback.
+
+    Parameters
+    ----------
+    app : typer.Typer
+    arguments : sequence of str
+        The command line without the program's name.
+    name : str
+        Of the program, for its help pages.
+    """
+    try:
+        outcome = app(args=list(arguments), prog_name=name, standalone_mode=False)
+    except (KeyboardInterrupt, typer.Abort):
+        complain("interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # the reader has gone (as in cep ... | head): nothing to say, and nobody to say it to
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILURE
+    except Exception as error:
+        return explain(error)
+    if outcome == INTERRUPTED:
+        complain("interrupted")  # typer has turned Ctrl-C into this exit code
+    return outcome if isinstance(outcome, int) else 0
+
+
+def _show_warning(message: Warning | str, *_rest: object, **_options: object) -> None:
+    """Print a warning of a library as every other, one line without the place in the sources."""
+    warn(str(message))
+
+
+def run() -> None:
+    """Console entry point; being ended from outside closes a shutter as Ctrl-C does."""
+    import signal
+    import warnings
+    from io import TextIOWrapper
+
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # signs that its encoding lacks
+    warnings.showwarning = _show_warning
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name) and signal.getsignal(getattr(signal, name)) is signal.SIG_DFL:
+            signal.signal(getattr(signal, name), signal.default_int_handler)
+    sys.exit(main())

@@ -1,0 +1,347 @@
+"""Files of codes (``code.json``) and PSFs, and strict JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, is_dataclass
+from io import BytesIO
+from pathlib import Path
+from tokenize import TokenError
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cep.files.images import read_photo
+from cep.files.outputs import new_files, write_bytes, write_text
+from cep.optics.code import ShutterCode
+from hw.device import DeviceProfile, load_profile
+from motdiff.crops import luminance
+from motdiff.files import inputs
+from motdiff.files.inputs import one_line, regular_file
+from motdiff.files.mat_files import levin_psf, read_mat
+from motdiff.files.schemas import fault, load_schema
+
+__all__ = [
+    "CODE_SCHEMA",
+    "DEMO_SCHEMA",
+    "FRONT_SCHEMA",
+    "PSF_SUFFIXES",
+    "StoredCode",
+    "code_document",
+    "json_text",
+    "load_psf",
+    "plain",
+    "read_code",
+    "read_json",
+    "read_psf",
+    "stated_schema",
+    "stored_device",
+    "write_code",
+    "write_psf",
+]
+
+CODE_SCHEMA = "cep.code/1"
+DEMO_SCHEMA = "cep.demo/1"
+FRONT_SCHEMA = "cep.front/1"
+PSF_SUFFIXES = (".npy", ".mat", ".png")
+_OFF_MIDDLE_PX, _CODED_OFF = 1.0, 0.25  # px of an open shutter's PSF; share of the extent of a coded one's
+_OPEN_LIGHT = 0.999
+_VEIL, _VEIL_LEVEL = 0.05, 0.5  # share of the light; of the peak: that of a box is no veil
+_MAT_TEXT, _MAT_TEXT_BYTES = b"MATLAB 5.0 MAT-file, written by coded-exposure", 116  # "MAT-File Format", MathWorks
+
+
+@dataclass(frozen=True)
+class StoredCode:
+    """Content of a code file.
+
+    Attributes
+    ----------
+    code : ShutterCode
+    metrics : mapping
+        Figures of :func:`cep.proofs.measure.measure`.
+    problem : mapping
+        Search problem: trajectory, limits, objective, seed.
+    certificate : mapping
+        Proof of the minimum, where there is one.
+    """
+
+    code: ShutterCode
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    problem: Mapping[str, Any] = field(default_factory=dict)
+    certificate: Mapping[str, Any] = field(default_factory=dict)
+
+
+def write_code(path: Path | str, stored: StoredCode) -> None:
+    """Write ``stored`` as JSON (schema ``cep.code/1``), whole or not at all."""
+    write_text(path, json_text(code_document(stored)))
+
+
+def code_document(stored: StoredCode) -> dict[str, Any]:
+    """Return the content of a code file."""
+    return {
+        "schema": CODE_SCHEMA,
+        "bits": stored.code.bits,
+        "chip_ns": stored.code.chip_ns,
+        "metrics": stored.metrics,
+        "problem": stored.problem,
+        "certificate": stored.certificate,
+    }
+
+
+def read_code(path: Path | str) -> StoredCode:
+    """Read a code file.
+
+    Raises
+    ------
+    ValueError
+        If the file is not JSON, of another schema, or its bits are no code; the line names the file.
+    OSError
+        If the file cannot be read.
+    """
+    document = _versioned(path, CODE_SCHEMA)
+    bits: Any = document.get("bits")
+    chip_ns: Any = document.get("chip_ns")
+    if isinstance(chip_ns, float) and chip_ns.is_integer():
+        chip_ns = int(chip_ns)  # as some programs write whole numbers
+    try:
+        code = ShutterCode(bits, chip_ns) if isinstance(bits, str) and "chip_ns" in document else None
+    except (TypeError, ValueError) as error:  # says which chip is wrong, as a schema cannot
+        raise ValueError(f"{path}: {one_line(error)}") from None
+    if (wrong := fault(document, load_schema("cep.files", "code"))) is not None or code is None:
+        raise ValueError(f"{path}: {wrong}")
+    return StoredCode(code, *(document.get(name) or {} for name in ("metrics", "problem", "certificate")))
+
+
+def stored_device(stored: StoredCode, *, source: str) -> DeviceProfile | None:
+    """Return the profile of the shutter that a code was searched for, as its file has it; None where it names none.
+
+    Parameters
+    ----------
+    stored : StoredCode
+    source : str
+        Its file, for messages.
+
+    Raises
+    ------
+    ValueError
+        If it is no profile, or the name of one that is not known.
+    """
+    device = stored.problem.get("device")
+    if device is None:
+        return None
+    try:
+        return load_profile(device) if isinstance(device, str) else DeviceProfile.from_dict(device, source="its device")
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}; --device NAME|FILE says which shutter it is for") from None
+
+
+def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:
+    """Read a JSON object, and check its ``schema`` and that it is as ``cep/files/schemas`` has it.
+
+    Raises
+    ------
+    ValueError
+        If the file is not JSON, has another schema, or a field of it is wrong.
+    OSError
+        If the file cannot be read.
+    """
+    document = _versioned(path, schema)
+    name = schema.removeprefix("cep.").partition("/")[0]
+    if (wrong := fault(document, load_schema("cep.files", name))) is not None:
+        raise ValueError(f"{path}: {wrong}")
+    return document
+
+
+def stated_schema(path: Path | str) -> str | None:
+    """Return the schema that a JSON file states; None where it states none, or is no JSON file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    try:
+        document = inputs.read_json(path)
+    except ValueError:
+        return None
+    found = document.get("schema") if isinstance(document, dict) else None
+    return found if isinstance(found, str) else None
+
+
+def _versioned(path: Path | str, schema: str) -> dict[str, Any]:
+    document = inputs.read_json(path)
+    found = document.get("schema") if isinstance(document, dict) else type(document).__name__
+    if not isinstance(document, dict) or found != schema:
+        raise ValueError(f'{path}: wanted schema "{schema}", found {one_line(repr(found))}')
+    return document
+
+
+def plain(value: object) -> Any:
+    """Turn arrays, dataclasses, paths and NumPy numbers into types of JSON; NaN and infinities become null.
+
+    Examples
+    --------
+    >>> plain({"gain_db": float("inf"), "size": np.int64(3)})
+    {'gain_db': None, 'size': 3}
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int | bool):
+        return value
+    return str(value)
+
+
+def json_text(value: object, *, ascii_only: bool = False) -> str:
+    r"""Format ``value`` as strict JSON with a closing newline.
+
+    Bytes of a file's name that are no UTF-8 are lone surrogates in Python; JSON has them as escapes, ``\udcff``.
+
+    Parameters
+    ----------
+    value : object
+    ascii_only : bool
+        Whether all other characters are escapes too, for an output that is not UTF-8.
+    """
+    text = json.dumps(plain(value), indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n"
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+# -- PSFs -----------------------------------------------------------------------------------------------------------
+
+
+def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple[Path, Path, Path]:
+    """Write a PSF as ``.npy`` (float32), ``.mat`` (variable ``psf``) and, for people, ``.png``, all three or none.
+
+    In the ``.png`` the largest value is white.
+
+    Parameters
+    ----------
+    folder : existing folder
+    psf : (S, S) array_like
+    stem : str, file name without suffix
+
+    Returns
+    -------
+    tuple of Path : the three files written
+    """
+    import cv2
+    from scipy.io import savemat
+
+    kernel = np.asarray(psf, dtype=np.float32)
+    paths = tuple(Path(folder) / f"{stem}{suffix}" for suffix in PSF_SUFFIXES)
+    grey = np.rint(255 * kernel / max(float(kernel.max()), float(np.finfo(np.float32).tiny))).astype(np.uint8)
+    stored = BytesIO()
+    np.save(stored, kernel)  # written to a file, SciPy hides the error of a full disk
+    matlab = BytesIO()
+    savemat(matlab, {"psf": kernel.astype(np.float64)})
+    undated = _MAT_TEXT.ljust(_MAT_TEXT_BYTES) + matlab.getvalue()[_MAT_TEXT_BYTES:]  # SciPy puts the date there
+    contents = (stored.getvalue(), undated, cv2.imencode(".png", grey)[1].tobytes())
+    with new_files(paths) as made:
+        for path, content in zip(paths, contents, strict=True):
+            write_bytes(made[path], content)
+    return paths[0], paths[1], paths[2]
+
+
+def read_psf(path: Path | str) -> NDArray[np.float64]:
+    """Read a PSF without the warnings of :func:`load_psf`, whose errors it has too."""
+    kernel, _ = load_psf(path)
+    return kernel
+
+
+def load_psf(path: Path | str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Read a PSF from ``.npy``, ``.mat`` or an image (whose samples are taken as linear).
+
+    Of a ``.mat`` file the variable ``psf`` is read as it is; where there is none, ``f``, the kernel in Levin's files,
+    which is turned by 180 degrees: see :func:`motdiff.files.mat_files.levin_psf`.
+
+    Returns
+    -------
+    kernel : (S, S') float
+        Non-negative, as stored; an image is scaled to sum 1.
+    warnings : tuple of str
+        Of its file; and where its light is off its middle, or does not end at its rim.
+
+    Raises
+    ------
+    ValueError
+        If there is no usable PSF in the file.
+    OSError
+        If the file cannot be read.
+    """
+    source = Path(path)
+    suffix = source.suffix.lower()
+    warnings: tuple[str, ...] = ()
+    if suffix == ".npy":
+        psf = _psf_from_npy(source)
+    elif suffix == ".mat":
+        psf = _psf_from_mat(source)
+    else:
+        psf, warnings = _psf_from_image(source)
+    if psf.ndim != 2 or min(psf.shape) < 1 or psf.dtype.kind not in "fiu":
+        kind = one_line(repr(psf.dtype.name))
+        raise ValueError(f"{source}: a PSF is one table of real numbers, found shape {psf.shape} of {kind}")
+    kernel = psf.astype(np.float64)
+    if not np.isfinite(kernel).all() or kernel.min() < 0 or kernel.sum() <= 0:
+        raise ValueError(f"{source}: a PSF must be finite, not negative and not all zero")
+    return kernel, (*warnings, *(f"{source}: {doubt}" for doubt in _psf_doubts(kernel)))
+
+
+def _psf_doubts(kernel: NDArray[np.float64]) -> list[str]:
+    """List what in a PSF is against its conventions, and may still be meant."""
+    light = float(kernel.sum())
+    rows, columns = np.nonzero(kernel)
+    extent = max(np.ptp(rows), np.ptp(columns)) + 1
+    y, x = (
+        float(kernel.sum(axis=1 - axis) @ np.arange(kernel.shape[axis])) / light - kernel.shape[axis] // 2
+        for axis in (0, 1)
+    )
+    doubts = []
+    # the open parts of a code lie off the middle of the path's time
+    if max(abs(x), abs(y)) > (_OFF_MIDDLE_PX if light > _OPEN_LIGHT else max(_OFF_MIDDLE_PX, extent * _CODED_OFF)):
+        doubts.append(
+            f"its centre of mass is ({x:+.1f}, {y:+.1f}) px (x, y) off its middle, which stands for no displacement: "
+            f"the restored photo moves by ({-x:+.1f}, {-y:+.1f}) px; centre it if that is not meant"
+        )
+    rim = np.concatenate([kernel[0], kernel[-1], kernel[1:-1, 0], kernel[1:-1, -1]])
+    level = float(np.median(rim))
+    veil = level * kernel.size / light
+    if veil > _VEIL and level < _VEIL_LEVEL * kernel.max():
+        doubts.append(
+            f"its rim is not 0 but {level:.2g}: such a veil over all of it is {veil:.0%} of its light; subtract the "
+            "background, or give the whole PSF if it is cut off"
+        )
+    return doubts
+
+
+def _psf_from_npy(source: Path) -> NDArray[Any]:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # headers of old versions of NumPy
+            # memory-mapped: a header with too large a shape allocates nothing
+            return np.lib.format.open_memmap(regular_file(source), mode="r")
+    except (ValueError, TypeError, OverflowError, EOFError, SyntaxError, TokenError, RecursionError) as error:
+        raise ValueError(f"{source}: not a NumPy array file ({one_line(error)})") from None
+
+
+def _psf_from_mat(source: Path) -> NDArray[Any]:
+    variables = read_mat(source, ["psf", "f"])
+    return variables["psf"] if "psf" in variables else levin_psf(variables["f"])
+
+
+def _psf_from_image(source: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
+    photo = read_photo(source, gamma="linear", min_side_px=1)
+    grey = luminance(photo.pixels)
+    total = float(grey.sum())
+    return (np.asarray(grey / total) if total > 0 else grey), photo.warnings

@@ -1,0 +1,98 @@
+"""Text that others wrote, made safe for each output: names of files, cameras, devices and methods, and their messages.
+
+Such a text may hold what the output takes for a command. Every output writes it through its function here, so that a
+reader sees the characters themselves. Rich's markup, JSON and HTML need none: texts are never parsed as markup, and
+:mod:`json` and Jinja's autoescaping do the rest.
+"""
+
+from __future__ import annotations
+
+import re
+
+from motdiff.files.inputs import printable
+
+__all__ = ["csv_text", "in_code_span", "latex_text", "markdown_text", "plot_text", "printable", "terminal_line"]
+
+_FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+]?(inf|nan)", re.IGNORECASE)
+_MARKDOWN = re.compile(r"([\\`*_\[\]<|~$&#])")
+_LATEX = str.maketrans(
+    {
+        "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
+        "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "|": r"\textbar{}", "<": r"\textless{}",
+        ">": r"\textgreater{}", '"': "''", "–": "--", "±": r"$\pm$", "×": r"$\times$", "²": r"$^2$",
+        "µ": r"\textmu{}", "≤": r"$\le$", "≥": r"$\ge$", "→": r"$\to$", "…": r"\ldots{}",
+        "[": "{[}", "*": "{*}",  # at the beginning of a row they would be options of the row before
+    }
+)  # fmt: skip
+"""Characters that LaTeX reads as commands, or that its fonts lack or take for others."""
+
+
+def terminal_line(text: object) -> str:
+    r"""Write a text as one line for a terminal: its commands can be seen, and lines are joined.
+
+    Examples
+    --------
+    >>> terminal_line("two\n  lines \x1b[2J")
+    'two lines \\x1b[2J'
+    """
+    return printable(re.sub(r"\s*[\r\n]\s*", " ", str(text).strip("\r\n")))
+
+
+def csv_text(text: str) -> str:
+    r"""Write the text of a CSV cell, which a spreadsheet must not take for a formula; numbers stay numbers.
+
+    Examples
+    --------
+    >>> csv_text("=1+1"), csv_text("-0.5"), csv_text("-1+1"), csv_text("a=b")
+    ("'=1+1", '-0.5', "'-1+1", 'a=b')
+    """
+    shown = printable(text)
+    return f"'{shown}" if shown.lstrip().startswith(_FORMULA) and not _NUMBER.fullmatch(shown) else shown
+
+
+def markdown_text(text: str) -> str:
+    r"""Write a text in Markdown, of a table's cell too, as nothing but text.
+
+    Examples
+    --------
+    >>> markdown_text("a|b <i> *c*")
+    'a\\|b \\<i> \\*c\\*'
+    """
+    return _MARKDOWN.sub(r"\\\1", printable(text))
+
+
+def in_code_span(text: str) -> str:
+    """Write a text in Markdown as code, between more backticks than it has.
+
+    Examples
+    --------
+    >>> in_code_span("cep mtf"), in_code_span("a`b")
+    ('`cep mtf`', '`` a`b ``')
+    """
+    shown = printable(text)
+    longest = max(map(len, re.findall("`+", shown)), default=0)
+    return f"`{shown}`" if longest == 0 else f"{'`' * (longest + 1)} {shown} {'`' * (longest + 1)}"
+
+
+def latex_text(text: str) -> str:
+    r"""Write a text in LaTeX.
+
+    Examples
+    --------
+    >>> latex_text("R&D, 5 %")
+    'R\\&D, 5 \\%'
+    """
+    return printable(text).translate(_LATEX)
+
+
+def plot_text(text: str) -> str:
+    r"""Write a text into a figure: dollars begin no formula, and an underscore hides no label from the legend.
+
+    Examples
+    --------
+    >>> plot_text("$x$"), plot_text("_a")
+    ('\\$x\\$', ' _a')
+    """
+    shown = printable(text).replace("$", r"\$")
+    return f" {shown}" if shown.startswith("_") else shown

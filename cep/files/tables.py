@@ -1,0 +1,176 @@
+"""Tables as files: LaTeX with booktabs, CSV and Markdown, by the file's suffix."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cep.files.foreign_text import csv_text, latex_text, markdown_text
+from cep.files.formatting import number
+from cep.files.outputs import write_text
+
+__all__ = [
+    "TABLE_SUFFIXES", "Bold", "Sheet", "cell_parts", "cell_text", "check_table_name", "csv_lines", "latex", "markdown",
+    "markdown_table", "write_sheets",
+]  # fmt: skip
+
+TABLE_SUFFIXES = (".tex", ".csv", ".md")
+_WIDE = 16  # characters: columns of longer texts stand to the left, those of figures to the right
+
+
+@dataclass(frozen=True)
+class Bold:
+    """A cell that begins with a bold text."""
+
+    text: str
+    rest: str = ""
+
+    def __str__(self) -> str:
+        return self.text + self.rest
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table.
+
+    Attributes
+    ----------
+    title : str
+    columns : sequence of str
+        Heads.
+    rows : sequence of sequences
+        Texts, :class:`Bold` ones, numbers, and None where there is nothing.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+
+
+def cell_text(value: object) -> str:
+    """Write a cell for people: numbers rounded, a dash for None."""
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return number(value) if abs(value) < 1000 else f"{value:.1f}"
+    return str(value)
+
+
+def cell_parts(value: object) -> list[tuple[str, bool]]:
+    """Split a cell into texts, and whether each is bold."""
+    if isinstance(value, Bold):
+        return [(value.text, True), *([(value.rest, False)] if value.rest else [])]
+    return [(cell_text(value), False)]
+
+
+def check_table_name(path: Path | str) -> None:
+    """Check, before any work is done, that :func:`write_sheets` writes such files.
+
+    Raises
+    ------
+    ValueError
+        If the name has another suffix.
+    """
+    if Path(path).suffix.lower() not in TABLE_SUFFIXES:
+        raise ValueError(f"{path}: tables are written as {', '.join(TABLE_SUFFIXES[:-1])} or {TABLE_SUFFIXES[-1]}")
+
+
+def write_sheets(sheets: Sequence[Sheet], path: Path | str) -> None:
+    """Write tables as .tex, .csv or .md, whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        If the name has another suffix.
+    """
+    check_table_name(path)
+    layout = {".tex": latex, ".csv": _csv, ".md": markdown}[Path(path).suffix.lower()]
+    write_text(path, layout(sheets))
+
+
+def latex(sheets: Sequence[Sheet]) -> str:
+    r"""Lay out tables as LaTeX, each a ``table`` with rules of booktabs.
+
+    Examples
+    --------
+    >>> print(latex([Sheet("R&D", ("code", "MTF"), [("a_1", 0.25), ("b", None)])]), end="")
+    % \usepackage{booktabs}
+    \begin{table}
+      \centering
+      \caption{R\&D}
+      \begin{tabular}{lr}
+        \toprule
+        code & MTF \\
+        \midrule
+        a\_1 & 0.25 \\
+        b & -- \\
+        \bottomrule
+      \end{tabular}
+    \end{table}
+    """
+    return "\n".join(["% \\usepackage{booktabs}", *map(_latex_table, sheets)]) + "\n"
+
+
+def _latex_table(sheet: Sheet) -> str:
+    rows = [[_latex_cell(value) for value in row] for row in (sheet.columns, *sheet.rows)]
+    body = [" & ".join(row) + r" \\" for row in rows]
+    sides = "".join("l" if _is_text(sheet, index) else "r" for index in range(len(sheet.columns)))
+    return "\n".join(
+        [
+            r"\begin{table}",
+            r"  \centering",
+            *([rf"  \caption{{{latex_text(sheet.title)}}}"] if sheet.title else []),
+            rf"  \begin{{tabular}}{{{sides}}}",
+            *(f"    {line}" for line in (r"\toprule", body[0], r"\midrule", *body[1:], r"\bottomrule")),
+            r"  \end{tabular}",
+            r"\end{table}",
+        ]
+    )
+
+
+def _latex_cell(value: object) -> str:
+    return "".join(rf"\textbf{{{latex_text(text)}}}" if bold else latex_text(text) for text, bold in cell_parts(value))
+
+
+def _csv(sheets: Sequence[Sheet]) -> str:
+    """Lay out tables as CSV, numbers in full; several stand below their titles with an empty line between."""
+    titled = len(sheets) > 1
+    return "\n".join(csv_lines([*([[sheet.title]] if titled else []), sheet.columns, *sheet.rows]) for sheet in sheets)
+
+
+def csv_lines(rows: Iterable[Iterable[object]]) -> str:
+    """Lay out rows as CSV: texts by :func:`cep.files.foreign_text.csv_text`, nothing for None."""
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows(
+        [csv_text(str(value)) if isinstance(value, str | Bold) else value for value in row] for row in rows
+    )
+    return stream.getvalue()
+
+
+def markdown(sheets: Sequence[Sheet]) -> str:
+    """Lay out tables as Markdown, each below its title."""
+    return "\n".join(
+        (f"**{markdown_text(sheet.title)}**\n\n" if sheet.title else "")
+        + markdown_table(sheet.columns, sheet.rows)
+        + "\n"
+        for sheet in sheets
+    )
+
+
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Lay out cells as a Markdown table: the first column to the left, the others, figures, to the right."""
+    lines = [[_markdown_cell(value) for value in row] for row in (head, *rows)]
+    rule = ("---", *("---:",) * (len(head) - 1))
+    return "\n".join("| " + " | ".join(line) + " |" for line in (lines[0], rule, *lines[1:]))
+
+
+def _markdown_cell(value: object) -> str:
+    return "".join(f"**{markdown_text(text)}**" if bold else markdown_text(text) for text, bold in cell_parts(value))
+
+
+def _is_text(sheet: Sheet, index: int) -> bool:
+    """Whether a column holds names or texts."""
+    return index == 0 or any(len(cell_text(row[index])) > _WIDE for row in sheet.rows)

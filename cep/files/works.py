@@ -1,0 +1,114 @@
+"""Published works behind methods, codes and figures of merit: BibTeX entries, and citations in one line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from types import MappingProxyType
+
+__all__ = ["Work", "work", "works"]
+
+_ENTRY = re.compile(r"^@(\w+)\{([\w-]+),\n(.*?)\n\}$", re.MULTILINE | re.DOTALL)
+_FIELD = re.compile(r"^  (\w+) = \{(.*?)\},?$", re.MULTILINE | re.DOTALL)
+_ACCENTS = {
+    r"{\"o}": "ö", r"{\"u}": "ü", r"{\'a}": "á", r"{\'e}": "é", r"{\'o}": "ó", r"{\ae}": "æ", r"\&": "&", "--": "–",
+}  # fmt: skip
+_HALF_LINE = 3  # authors: more are "et al." where a citation is short
+
+
+@dataclass(frozen=True)
+class Work:
+    """An entry of a bibliography.
+
+    Attributes
+    ----------
+    key : str
+        Its name in a document, as ``raskar2006``.
+    kind : str
+        As BibTeX names it: article, inproceedings, book, ...
+    fields : mapping
+        LaTeX, as in the file.
+    bibtex : str
+        The entry.
+    """
+
+    key: str
+    kind: str
+    fields: Mapping[str, str]
+    bibtex: str
+
+    def text(self, field: str) -> str:
+        """Return a field as plain text, empty where the entry has none."""
+        text = " ".join(self.fields.get(field, "").split())
+        for tex, letter in _ACCENTS.items():
+            text = text.replace(tex, letter)
+        return text.replace("{", "").replace("}", "")
+
+    @property
+    def authors(self) -> tuple[str, ...]:
+        """Surnames, or the institution."""
+        if self.fields["author"].startswith("{"):
+            return (self.text("author"),)
+        return tuple(name.split(",")[0] for name in self.text("author").split(" and "))
+
+    @property
+    def venue(self) -> str:
+        """Where it appeared, with volume and year."""
+        conference = re.search(r"\((\w+)\)$", self.text("booktitle"))
+        place = self.text("journal") or (conference[1] if conference else self.text("booktitle"))
+        if not place:
+            eprint = self.text("eprint")
+            place = f"{self.text('archiveprefix')} {eprint}" if eprint else self.text("publisher") or self.text("note")
+        if self.text("journal") and self.text("volume"):
+            place += f" {self.text('volume')}"
+        parts = (place, self.text("year"))
+        return (" " if conference or self.kind == "book" else ", ").join(part for part in parts if part)
+
+    @property
+    def line(self) -> str:
+        """A citation as documents have it, in Markdown.
+
+        Examples
+        --------
+        >>> work("glover1989").line
+        'Glover: *Tabu search, part I.* ORSA Journal on Computing 1, 1989.'
+        """
+        title = self.text("title")
+        return f"{', '.join(self.authors)}: *{title}{'' if title[-1] in '.?!' else '.'}* {self.venue}."
+
+    @property
+    def short(self) -> str:
+        """Authors, first half of the title, and year.
+
+        Examples
+        --------
+        >>> work("raskar2006").short
+        'Raskar, Agrawal, Tumblin, Coded exposure photography, 2006'
+        """
+        who = self.authors if len(self.authors) <= _HALF_LINE else (f"{self.authors[0]} et al.",)
+        return ", ".join(part for part in (*who, self.text("title").split(":")[0], self.text("year")) if part)
+
+
+@cache
+def works() -> Mapping[str, Work]:
+    """Return all works by their keys, in the order of the file."""
+    text = (resources.files("cep.files") / "works.bib").read_text(encoding="utf-8")
+    found = (
+        Work(key, kind, MappingProxyType(dict(_FIELD.findall(body + "\n"))), f"@{kind}{{{key},\n{body}\n}}")
+        for kind, key, body in _ENTRY.findall(text)
+    )
+    return MappingProxyType({entry.key: entry for entry in found})
+
+
+def work(key: str) -> Work:
+    """Return the work of a key.
+
+    Raises
+    ------
+    KeyError
+        If there is none.
+    """
+    return works()[key]

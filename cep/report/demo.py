@@ -1,0 +1,133 @@
+"""The files that the demo leaves, all of them or none."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from urllib.parse import quote
+
+from cep.calibration.calibrate import CALIBRATION_FILES, write_calibration
+from cep.files.files import DEMO_SCHEMA, StoredCode, json_text, write_code
+from cep.files.images import write_image
+from cep.files.outputs import new_folder, write_text
+from cep.report.demo_chain import Chain
+from cep.report.demo_page import DEMO_PICTURES, demo_report
+from cep.report.result_page import write_report
+from hw.export import EXPORTERS, export_program
+from hw.program import Program
+
+__all__ = ["DEMO_FILES", "write_demo"]
+
+_PHOTOS = {"blurred.png": "open", "coded.png": "coded"}
+_SET = ("calibration_2.png", "calibration_3.png", "calibration_4.png")
+_RESTORED = {"restored_open.png": "open", "restored_snapshot.png": "snapshot", "restored_coded.png": "coded"}
+_PROGRAMS = {f"shutter_code{exporter.suffix}": file_format for file_format, exporter in EXPORTERS.items()}
+_OF_A_CODE = ("code.json", "coded.png", "restored_coded.png", "code_strip.png", *_PROGRAMS)
+DEMO_FILES = (
+    "report.html", "demo.json", "code.json", *(f"{name}.png" for name in DEMO_PICTURES), *_PHOTOS, *_SET,
+    *_RESTORED, *_PROGRAMS, *CALIBRATION_FILES,
+)  # fmt: skip
+"""What :func:`write_demo` writes; the code, its programs and pictures only where a code is advised, the
+further photos of the calibration only where they were taken."""
+
+
+def write_demo(folder: Path | str, chain: Chain, *, options: str = "", force: bool = False) -> Mapping[str, object]:
+    """Write the report and everything it speaks of.
+
+    Parameters
+    ----------
+    folder : path of a folder, made when missing
+    chain : Chain
+    options : str
+        How camera and device are named on a command line, for the commands in the report.
+    force : bool
+        Whether existing files may be replaced.
+
+    Returns
+    -------
+    mapping : the figures, as in ``demo.json``
+
+    Raises
+    ------
+    ValueError
+        If a file exists and ``force`` is not given, or the folder cannot be written to.
+    """
+    target = Path(folder)
+    figures = {"schema": DEMO_SCHEMA, "report": str(target / "report.html"), **_figures(chain)}
+    with new_folder(target, DEMO_FILES, force=force) as made:
+        source = {"image": chain.scene.name, "seed": chain.seed}
+        write_calibration(made, chain.estimate, chain.scene.photo, source=source)
+        write_image(made / "blurred.png", chain.scene.photo, bits=16)
+        for name, photo in zip(_SET, chain.found.photos[1:], strict=False):
+            write_image(made / name, photo, bits=16)
+        for name, kind in _RESTORED.items():
+            if (shot := chain.shot(kind)) is not None and (chain.coded or name not in _OF_A_CODE):
+                write_image(made / name, shot.restored)
+        if chain.code is not None:
+            metrics = chain.problem.measure(chain.code).to_dict()
+            certificate = dict(chain.certificates)["coded"].to_dict()
+            device = None if chain.device is None else chain.device.to_dict()
+            described = {"objective": "mse", "chips": chain.code.chips, "device": device}
+            write_code(made / "code.json", StoredCode(chain.code, metrics, described, certificate))
+            program = Program.from_bits(chain.code.bits, chip_ns=chain.code.chip_ns)
+            for name, file_format in _PROGRAMS.items():
+                with suppress(ValueError):  # the sketch plays chips of 50 us to 32 ms only
+                    write_text(made / name, export_program(program, file_format, device=chain.device))
+            write_image(made / "coded.png", chain.advised_shot.photo, bits=16)
+        report = demo_report(chain, options=options, guide=_guide(target))
+        shown = [one for section in report.sections for one in (*section.pictures, *section.gallery) if one.name]
+        for one in shown:
+            (made / f"{one.name}.png").write_bytes(one.png)
+        write_report(made / "report.html", report)
+        write_text(made / "demo.json", json_text(figures))
+    return figures
+
+
+def _guide(folder: Path) -> str:
+    """Address of docs/hardware.md from a folder; empty where the package is installed without the documents."""
+    guide = Path(__file__).resolve().parents[2] / "docs" / "hardware.md"
+    try:
+        return quote(Path(os.path.relpath(guide, folder.resolve())).as_posix()) if guide.is_file() else ""
+    except ValueError:  # on another drive
+        return ""
+
+
+def _figures(chain: Chain) -> dict[str, object]:
+    here, psnr_db = chain.advice.here, {shot.kind: shot.psnr_db for shot in chain.shots}
+    kinds = ("open", "snapshot", "coded")
+    return {
+        "verdict": here.sentence,
+        "choice": chain.choice,
+        "gains_db": here.gains_db,
+        "psnr_db": {kind: psnr_db.get(kind) for kind in kinds},
+        "simulated_gains_db": chain.gains_db(),
+        "crossover": chain.advice.crossover,
+        "photo": chain.scene.name,
+        "method": chain.estimate.method,
+        "length_px": chain.estimate.best.length_px,
+        "confidence": chain.estimate.confidence,
+        "path_uncertainty_px": chain.estimate.path_error_px,
+        "calibration_codes": [code.bits for code in chain.found.codes],
+        "open_photo_alone": _open_photo_alone(chain),
+        "bits": None if chain.code is None else chain.code.bits,
+        "chips": chain.problem.chips,
+        "chip_ns": chain.problem.chip_ns,
+        "camera": chain.camera.to_dict(),
+        "device": None if chain.device is None else chain.device.name,
+        "seed": chain.seed,
+        "warnings": [*chain.scene.warnings, *chain.estimate.warnings],
+    }
+
+
+def _open_photo_alone(chain: Chain) -> dict[str, object] | None:
+    """Figures of what the calibration photo with an open shutter would have given without the others."""
+    if chain.alone is None or chain.found.alone is None:
+        return None
+    return {
+        "length_px": chain.found.alone.best.length_px,
+        "confidence": chain.found.alone.confidence,
+        "bits": chain.alone.way.code.bits,
+        "psnr_db": chain.alone.psnr_db,
+    }

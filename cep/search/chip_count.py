@@ -1,0 +1,158 @@
+"""Number of chips of a code: the fewest with which the best way to expose is as good as with more."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from cep.optics.code import ShutterCode
+from cep.optics.path_limits import check_resolved
+from cep.search.expected import WORTH_DB
+from cep.search.problem import SearchProblem
+from cep.search.ways import Way, WayFinder, best_possible, check_light, judged_ways
+
+__all__ = ["ASSUMED_EXPOSURE_S", "COUNTS", "ChipCount", "choose_chips", "in_words_of_chips", "suited_chips"]
+
+ASSUMED_EXPOSURE_S = 0.05
+"""Exposure where none is given and the number of chips is chosen: it must be the same for all."""
+
+COUNTS = (8, 16, 32, 52, 104)
+"""Numbers of chips that are tried where none is given."""
+
+
+@dataclass(frozen=True)
+class ChipCount:
+    """Number of chips that was chosen.
+
+    Attributes
+    ----------
+    chips : int
+    gains_db : mapping of int to float
+        What the best way gains with each other number that was tried, dB.
+    code : ShutterCode or None
+        The best code found with so many chips, within the limits; None where Ctrl-C came before any.
+    early : {"", "time", "interrupted"}
+        What ended the choice before all numbers were tried, if anything.
+    """
+
+    chips: int
+    gains_db: Mapping[int, float]
+    code: ShutterCode | None
+    early: str = ""
+
+
+def choose_chips(
+    problem_of: Callable[[int], SearchProblem],
+    counts: Sequence[int] = COUNTS,
+    *,
+    path_error_px: float = 0.0,
+    seed: int = 0,
+    time_s: float = math.inf,
+    threads: int | None = None,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+) -> ChipCount:
+    """Choose the number of chips: the fewest with which the best way is within ``WORTH_DB`` of the best.
+
+    Anytime: the time or Ctrl-C ends the choice with the numbers tried so far.
+
+    Parameters
+    ----------
+    problem_of : callable
+        Returns the problem with so many chips. It may raise ValueError for some, which are left out, as are those that
+        the motion does not resolve.
+    counts : sequence of int
+    path_error_px, seed, threads, progress
+        As of :func:`cep.search.advise.advise`.
+    time_s : float
+        Limit, seconds. Of the first number it ends the search alone, so that one is judged.
+
+    Raises
+    ------
+    ValueError
+        If none is left: as for the first of them.
+    """
+    ends = time.monotonic() + time_s
+    reached: dict[int, Way] = {}
+    refusal, early = ValueError("counts: needs at least one number of chips"), ""
+    count = 0
+    try:
+        for done, count in enumerate(counts):
+            left_s = ends - time.monotonic()
+            if reached and left_s <= 0:
+                early = "time"
+                break
+            progress(done / len(counts), f"{count} chips")
+            try:
+                problem = problem_of(count)
+                check_resolved(problem.scenarios[0].trajectory, count)
+                check_light(problem)
+            except ValueError as error:
+                refusal = error if done == 0 else refusal
+                continue
+            reached[count], stopped = _best_way(problem, path_error_px, seed, max(left_s, 1e-3), threads)
+            if stopped in ("time", "interrupted"):
+                early = stopped
+                break
+    except KeyboardInterrupt:
+        early = "interrupted"
+        if not reached:
+            return ChipCount(count, {}, None, early)
+    if not reached:
+        raise refusal
+    best_db = max(way.psnr_db for way in reached.values())
+    chosen = min(count for count, way in reached.items() if way.psnr_db > best_db - WORTH_DB)
+    gains = {count: way.psnr_db - reached[chosen].psnr_db for count, way in reached.items() if count != chosen}
+    return ChipCount(chosen, gains, reached[chosen].code, early)
+
+
+def suited_chips(
+    problem_of: Callable[[int], SearchProblem],
+    counts: Sequence[int] = COUNTS,
+    *,
+    path_error_px: float = 0.0,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+) -> tuple[int, Mapping[int, float]]:
+    """Return the number of chips of :func:`choose_chips` and the gains of the others, once all have been tried.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C.
+    ValueError
+        As of :func:`choose_chips`.
+    """
+    found = choose_chips(
+        problem_of, counts, path_error_px=path_error_px, seed=seed, threads=threads, progress=progress
+    )  # fmt: skip
+    if found.early == "interrupted":
+        raise KeyboardInterrupt
+    progress(1.0, "")
+    return found.chips, found.gains_db
+
+
+def in_words_of_chips(gains_db: Mapping[int, float]) -> str:
+    """Say what other numbers of chips would gain or lose, as :func:`choose_chips` finds it; empty for none.
+
+    Examples
+    --------
+    >>> in_words_of_chips({16: -0.52, 104: 0.04})
+    '16 chips would lose 0.52 dB, 104 gain 0.04 dB'
+    """
+    parts = [f"{'gain' if gain > 0 else 'lose'} {abs(gain):.2f} dB" for gain in gains_db.values()]
+    names = [f"{count} chips would" if i == 0 else str(count) for i, count in enumerate(gains_db)]
+    return ", ".join(f"{name} {part}" for name, part in zip(names, parts, strict=True))
+
+
+def _best_way(
+    problem: SearchProblem, path_error_px: float, seed: int, time_s: float, threads: int | None
+) -> tuple[Way, str]:
+    """Best possible way at the camera's light, and what ended the search of a code."""
+    finder, camera = WayFinder(problem), problem.camera
+    ordinary = finder.ordinary(camera, every_length=path_error_px > 0)
+    searched = finder.search(camera, ordinary, seed=seed, time_s=time_s, threads=threads)
+    codes, stopped = (ordinary, "") if searched is None else ([*ordinary, searched.code], searched.stopped)
+    return best_possible(judged_ways(problem, [camera], codes, path_error_px=path_error_px)[0]), stopped

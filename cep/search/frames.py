@@ -1,0 +1,249 @@
+"""Codes of several exposures of one motion, restored together: the search, and the best single code in every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cep.files.files import StoredCode, write_code
+from cep.files.outputs import new_files
+from cep.optics.code import ShutterCode
+from cep.optics.mtf import HOPELESS_DB
+from cep.proofs.measure import CodeMetrics
+from cep.search.advise import Verdict
+from cep.search.annealing.anneal import Stopped
+from cep.search.annealing.frames import FramesResult, anneal_frames
+from cep.search.annealing.joint import joint_figures
+from cep.search.expected import equal_light_noise, joint_psnr_db, light_noise
+from cep.search.optimize import Search, certificate_warnings, ended_early, searched_problem
+from cep.search.problem import SearchProblem
+from cep.search.recipe import mean_length_px, search_code
+from cep.search.ways import CODED, Way, WayFinder, best_possible, check_light, judged_ways
+
+__all__ = ["FramesOptimum", "Together", "frames_verdict", "optimize_frames", "write_frames"]
+
+
+@dataclass(frozen=True)
+class Together:
+    """Figures of frames that are restored together, as every command's JSON names a code's.
+
+    Attributes
+    ----------
+    min_mtf : float
+        Of the root of the sum of |H|^2, as sampled.
+    min_chip : float or None
+        The same of |P| on the unit circle, where only the codes' polynomials matter.
+    noise_gain_db : float or None
+        None above 100 dB.
+    """
+
+    min_mtf: float
+    min_chip: float | None
+    noise_gain_db: float | None
+
+
+@dataclass(frozen=True)
+class FramesOptimum:
+    """Searched codes of several frames, and what they are worth.
+
+    Attributes
+    ----------
+    problem : SearchProblem
+    how : Search
+    found : FramesResult
+        What ended it may also have ended the search of the single code.
+    metrics : tuple of CodeMetrics
+        Of each code by itself.
+    joint : Together
+        Of the codes.
+    single : ShutterCode
+        The best code for a single frame.
+    repeated : Together
+        Of that code played in every frame.
+    verdict : Verdict
+        Whether to use the codes, by the restoration from all frames that is expected with the problem's camera.
+    """
+
+    problem: SearchProblem
+    how: Search
+    found: FramesResult
+    metrics: tuple[CodeMetrics, ...]
+    joint: Together
+    single: ShutterCode
+    repeated: Together
+    verdict: Verdict
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know besides the figures, one sentence each."""
+        moves = self.how.moves(searched_problem(self.problem))
+        return (*ended_early(self.how, self.found.stopped, moves), *certificate_warnings(self.problem))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON, as ``cep optimize --frames --json`` prints them."""
+        found = self.found
+        return {
+            "verdict": self.verdict.sentence,
+            "choice": self.verdict.choice,
+            "gains_db": self.verdict.gains_db,
+            "bits": [code.bits for code in found.codes],
+            "frames": len(found.codes),
+            "chips": self.problem.chips,
+            "open": [code.open_chips for code in found.codes],
+            "chip_ns": self.problem.chip_ns,
+            **asdict(self.joint),
+            "objective": found.objective,
+            "each": [metrics.to_dict() for metrics in self.metrics],
+            "single": {"bits": self.single.bits, "open": self.single.open_chips, **asdict(self.repeated)},
+            "seconds": found.seconds,
+            "steps": found.steps,
+            "stopped": found.stopped,
+            "interrupted": found.stopped == "interrupted",
+        }
+
+    def save(self, files: Sequence[Path], *, described: Mapping[str, Any]) -> None:
+        """Write a ``code.json`` for each frame, all of them or none; ``described`` is what they say of the problem."""
+        figures = [metrics.to_dict() for metrics in self.metrics]
+        write_frames(files, self.found, described=described, metrics=figures, joint=asdict(self.joint))
+
+
+def write_frames(
+    files: Sequence[Path],
+    found: FramesResult,
+    *,
+    described: Mapping[str, Any],
+    metrics: Sequence[Mapping[str, Any]] | None = None,
+    joint: Mapping[str, Any] | None = None,
+) -> None:
+    """Write the codes that were found, with their figures where these are known: all files or none."""
+    about = {
+        **described,
+        "frames": len(found.codes),
+        "bits_of_frames": [code.bits for code in found.codes],
+        "steps": found.steps,
+        "stopped": found.stopped,
+    }
+    together = {} if joint is None else {"joint": joint}
+    figures = metrics or [{}] * len(files)
+    with new_files(files) as made:
+        for number, (file, code, own) in enumerate(zip(files, found.codes, figures, strict=True), 1):
+            write_code(made[file], StoredCode(code, own, {**about, "frame": number, **together}))
+
+
+def optimize_frames(
+    problem: SearchProblem,
+    how: Search,
+    frames: int,
+    *,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+    on_checked: Callable[[], None] = lambda: None,
+    on_found: Callable[[FramesResult], None] = lambda _found: None,
+) -> FramesOptimum:
+    """Search the codes of several frames, and measure them beside the best single code played in every frame.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    how : Search
+        By annealing. Half the time at most goes to the single code; both searches make as many moves.
+    frames : int
+    progress : callable, optional
+        Called with the finished share, 0..1, and a note.
+    on_checked : callable, optional
+        Called before the work, when the method has been checked.
+    on_found : callable, optional
+        Called with the codes before they are measured.
+
+    Raises
+    ------
+    ValueError
+        If the method is another, there is no frame, or even the shortest opening saturates at the problem's light.
+    """
+    if how.method != "anneal":
+        raise ValueError(f"frames: not valid with method={how.method!r}, which searches a single code")
+    check_light(problem)
+    on_checked()
+    single, searched = _search(searched_problem(problem), how, frames, mean_length_px(problem), progress)
+    found = replace(searched, codes=tuple(replace(code, chip_ns=problem.chip_ns) for code in searched.codes))
+    on_found(found)
+    circle = replace(problem, scenarios=()) if problem.on_circle else None
+
+    def together(codes: Sequence[ShutterCode]) -> Together:
+        on_circle = None if circle is None else problem.chips * joint_figures(circle, codes).minimum
+        joint = joint_figures(problem, codes)
+        return Together(joint.minimum, on_circle, joint.noise_gain_db if joint.noise_gain_db <= HOPELESS_DB else None)
+
+    metrics = tuple(problem.measure(code) for code in found.codes)
+    joint, repeated = together(found.codes), together([single] * frames)
+    judged = frames_verdict(problem, found.codes)
+    progress(1.0, "")
+    return FramesOptimum(problem, how, found, metrics, joint, single, repeated, judged)
+
+
+def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verdict:
+    """Judge the codes of several frames beside one exposure repeated in every frame: open, single or pulsed evenly.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        Its path counts as known exactly.
+    codes : sequence of ShutterCode
+        Of each frame. Where they open once each, all of them alike, they count as that single exposure.
+
+    Raises
+    ------
+    ValueError
+        If the problem has no motion, or even the shortest opening saturates at its light.
+    """
+    check_light(problem)
+    frames, camera = len(codes), problem.camera
+    tried = WayFinder(problem).ordinary(camera, every_length=True)
+    alike, single = len({code.bits for code in codes}) == 1, all(code.pulses == 1 for code in codes)
+    ways = judged_ways(problem, [camera], [*tried, *(codes[:1] if alike else ())], path_error_px=0.0, frames=frames)[0]
+    own = ways[-1]
+    if not alike:
+        noise = [model(camera, codes, response=problem.response) for model in (light_noise, equal_light_noise)]
+        at_time, at_light = joint_psnr_db(problem, codes, noise=noise)
+        each = judged_ways(problem, [camera], codes, path_error_px=0.0)[0][1:]
+        own = Way(
+            "snapshot" if single else "code", codes[0], float(at_time), float(at_light),
+            all(way.within_limits for way in each), any(way.saturates for way in each),
+        )  # fmt: skip
+        ways = (*ways, own)
+    best_possible(ways)
+    coded = own.possible and own.kind in CODED
+    return Verdict(camera, ways, "these codes" if coded else "", own if coded else None, frames=frames)
+
+
+def _search(
+    problem: SearchProblem, how: Search, frames: int, length_px: float, progress: Callable[[float, str], None]
+) -> tuple[ShutterCode, FramesResult]:
+    """Search the best single code, then all frames' from it; what ended either search has ended both."""
+    moves, time_s = how.moves(problem), how.limit_s
+    progress(0.0, "a single code")
+    single = search_code(
+        problem,
+        rng=np.random.default_rng(how.seed),
+        steps=moves,
+        time_s=time_s / 2,
+        length_px=length_px,
+        progress=lambda share, best: progress(share / 2, f"a single code, {best.open_chips} open"),
+    )
+    found = anneal_frames(
+        problem,
+        frames,
+        rng=np.random.default_rng([how.seed, 3]),
+        steps=moves,
+        # Ctrl-C ends both searches; a time limit only the one
+        time_s=1e-9 if single.stopped == "interrupted" else max(time_s / 2, time_s - single.seconds),
+        start=[[single.code] * frames],
+        progress=lambda share, best: progress(
+            (1 + share) / 2, f"{'+'.join(str(code.open_chips) for code in best)} open"
+        ),
+    )
+    worst: list[Stopped] = ["interrupted", "time", "steps", "complete"]
+    return single.code, replace(found, stopped=min(single.stopped, found.stopped, key=worst.index))

@@ -1,0 +1,544 @@
+"""From a search problem to a code and what it is worth: the search or proof, baselines, certificate, bound."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from cep.files.files import StoredCode, plain, write_code
+from cep.optics.code import ShutterCode
+from cep.optics.path_limits import check_frame, check_resolved
+from cep.proofs.certify.certificate import Certificate, certify
+from cep.proofs.measure import CodeMetrics, FigureOfMerit, find_figures, own_figures
+from cep.search.advise import Verdict, verdict
+from cep.search.compare import Comparison, as_designed, compare
+from cep.search.exhaustive.exact import ExactResult, exact
+from cep.search.problem import SearchProblem
+from cep.search.recipe import Found, mean_length_px, prove_code, search_code
+from cep.search.ways import check_light
+from motdiff.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from cep.jobs.cells import Figure
+    from cep.jobs.engine import Engine
+
+__all__ = [
+    "STANDARD_TIME_S",
+    "Optimum",
+    "Search",
+    "certificate_warnings",
+    "code_from_figures",
+    "described_search",
+    "ended_early",
+    "optimize",
+    "optimize_motion",
+    "search",
+    "searched_problem",
+    "stored_search",
+]
+
+STANDARD_TIME_S = 60.0
+"""Limit of an annealing that is given neither moves nor a time, seconds."""
+
+_SEARCH_SHARE = 0.9  # of the time: comparing and certifying take the rest
+_NO_TIME_S = 1e-9  # ends an annealing at its start
+_RELAXED = 128  # chips to which the relaxation takes seconds
+_ROUNDED = 16  # codes drawn from it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """How a code is searched.
+
+    Attributes
+    ----------
+    method : {"anneal", "exact"}
+    effort : {"quick", "sdp"}
+        Of the bound; "sdp" also draws codes from the relaxation to start from.
+    steps : int, optional
+        Moves of an annealing. The same seed and moves give the same code, unless the time ends the search.
+    time_s : float, optional
+        Limit of an annealing, seconds; a proof runs to its end. With a time alone the annealing goes on for it,
+        however many moves that are; without moves or a time it makes as many as suit the problem, for
+        :data:`STANDARD_TIME_S` at most.
+    seed : int
+
+    Raises
+    ------
+    ValueError
+        If the method or the effort is another, the time is not above 0, or moves or a time are given for a proof.
+    """
+
+    method: Literal["anneal", "exact"] = "anneal"
+    effort: Literal["quick", "sdp"] = "quick"
+    steps: int | None = None
+    time_s: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.method not in ("anneal", "exact"):
+            raise ValueError(f"method: must be anneal or exact, got {self.method!r}")
+        if self.effort not in ("quick", "sdp"):
+            raise ValueError(f"effort: must be quick or sdp, got {self.effort!r}")
+        if self.time_s is not None and not self.time_s > 0:
+            raise ValueError(f"time_s: must be above 0 seconds, got {self.time_s}")
+        for name in ("steps", "time_s"):
+            if self.method == "exact" and getattr(self, name) is not None:
+                raise ValueError(f"{name}: not valid with method='exact', which judges every code there is")
+
+    @property
+    def limit_s(self) -> float:
+        """Limit of an annealing, seconds; infinite where only its moves are given."""
+        if self.time_s is not None:
+            return self.time_s
+        return STANDARD_TIME_S if self.steps is None else math.inf
+
+    def moves(self, problem: SearchProblem) -> int | None:
+        """Say how many moves an annealing makes; None where the time alone ends it."""
+        from cep.search.annealing.anneal import standard_moves
+
+        return standard_moves(problem) if self.steps is None and self.time_s is None else self.steps
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A searched code and what it is worth.
+
+    Attributes
+    ----------
+    problem : SearchProblem
+    how : Search
+    found : Found
+        The search or the proof: cost, moves, seconds, and what ended it.
+    comparison : Comparison
+        The code first, then what would be used instead of it.
+    verdict : Verdict
+        Whether to use it, by the restoration that is expected with the problem's camera.
+    along : Trajectory or None
+        What the certificate is for; None: the unit circle, where only the code's polynomial matters.
+    certificate : Certificate
+        Of the code's smallest MTF.
+    figure : str
+        Name of what is bounded, with its unit; empty where nothing bounds the objective.
+    bound, gap : float or None
+        What no code of so much light can exceed, and how far off this one is: 0..1, or dB for the noise. Of a code
+        proven on the unit circle, the bound that the proof gives to all codes within the limits.
+    """
+
+    problem: SearchProblem
+    how: Search
+    found: Found
+    comparison: Comparison
+    verdict: Verdict
+    along: Trajectory | None
+    certificate: Certificate
+    figure: str
+    bound: float | None
+    gap: float | None
+
+    @property
+    def code(self) -> ShutterCode:
+        """The code."""
+        return self.comparison[0].code
+
+    @property
+    def metrics(self) -> CodeMetrics:
+        """Its figures, worst of each over the problem's motions and directions."""
+        return self.comparison[0].metrics
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know besides the figures, one sentence each."""
+        found, moves = self.found, self.how.moves(searched_problem(self.problem))
+        early = (row.name for row in self.comparison if row.stopped_early)
+        # with a time alone every run differs
+        repeats = found.stopped == "interrupted" or self.how.method == "exact" or moves is not None
+        return (
+            *ended_early(self.how, found.stopped, moves),
+            *_kept_blocks(found),
+            *(
+                f"the search of the {name} was stopped early, by the time or Ctrl-C: another run may give another"
+                for name in (early if repeats else ())
+            ),
+            *certificate_warnings(self.problem),
+            *(
+                "the code saturates at this light: search with fewer open chips, or give what can be recorded"
+                for way in self.verdict.ways if way.saturates and way.code.bits == self.code.bits
+            ),
+        )  # fmt: skip
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON, as ``cep optimize --json`` prints them."""
+        code, found = self.code, self.found
+        return {
+            "verdict": self.verdict.sentence,
+            "choice": self.verdict.choice,
+            "gains_db": self.verdict.gains_db,
+            "bits": code.bits,
+            "chips": code.chips,
+            "open": code.open_chips,
+            "duty": code.duty,
+            "chip_ns": code.chip_ns,
+            "exposure_s": code.duration_ns * 1e-9,
+            **self.comparison[0].to_dict(),
+            "objective": found.objective,
+            "proven": found.stopped == "proven",
+            "proof": (found.proof or {}).get("file"),
+            "certificate": self.certificate.to_dict(),
+            "bound": self.bound,
+            "gap": self.gap,
+            "seconds": found.seconds,
+            "steps": found.steps,
+            "stopped": found.stopped,
+            "interrupted": found.stopped == "interrupted",
+            "baselines": {
+                row.name: {
+                    "bits": row.code.bits,
+                    "open": row.code.open_chips,
+                    "within_limits": row.within_limits,
+                    "stopped_early": row.stopped_early,
+                }
+                | row.to_dict()
+                for row in self.comparison[1:]
+            },
+        }
+
+    def stored(self, described: Mapping[str, Any] | None = None) -> StoredCode:
+        """Return what a ``code.json`` holds of it.
+
+        Parameters
+        ----------
+        described : mapping, optional
+            What the file says of the problem; a summary of it when omitted.
+        """
+        about = stored_search(described or described_search(self.problem, self.how), self.found)
+        return StoredCode(self.code, self.metrics.to_dict(), about, self.certificate.to_dict())
+
+    def save(self, path: Path | str, *, described: Mapping[str, Any] | None = None) -> None:
+        """Write :meth:`stored` as a ``code.json``, whole or not at all."""
+        write_code(path, self.stored(described))
+
+    def __repr__(self) -> str:
+        lines = [
+            self.verdict.sentence,
+            f"{self.code.bits}: {self.code.open_chips} of {self.code.chips} chips open",
+            repr(self.comparison),
+        ]
+        if self.bound is not None:
+            lines.append(f"no code with so many open chips has a {self.figure.split(',')[0]} beyond {self.bound:.4g}")
+        return "\n".join([*lines, *self.warnings])
+
+    def _repr_png_(self) -> bytes:
+        from cep.plots import mtf_figure, png_bytes
+
+        path = self.along or self.problem.scenarios[0].trajectory
+        return png_bytes(mtf_figure(path, {"open shutter": None, "this code": self.code}))
+
+
+def optimize(
+    problem: SearchProblem,
+    *,
+    method: Literal["anneal", "exact"] = "anneal",
+    steps: int | None = None,
+    time_s: float | None = None,
+    effort: Literal["quick", "sdp"] = "quick",
+    seed: int = 0,
+    start: Sequence[ShutterCode] = (),
+    interrupted: bool = False,
+    along: Trajectory | None = None,
+    path_error_px: float = 0.0,
+    figures: Mapping[str, FigureOfMerit] | None = None,
+    threads: int | None = None,
+    blocks: Engine | None = None,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+    on_found: Callable[[ShutterCode, Found], None] = lambda _code, _found: None,
+    on_best: Callable[[ShutterCode], None] = lambda _code: None,
+) -> Optimum:
+    """Search the code that is best along a problem's motions, certify it, and compare it with what is used instead.
+
+    No code of the comparison that keeps the problem's limits is better by its objective. Whether to use the code at all
+    is decided by the expected restoration, see :class:`cep.search.advise.Verdict`.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    method, steps, time_s, effort, seed
+        As of :class:`Search`.
+    start : sequence of ShutterCode
+        Codes to start an annealing from, besides those that the code is compared with.
+    interrupted : bool
+        Whether Ctrl-C has ended the work already: the best of the codes to start from and to compare with is returned,
+        as after Ctrl-C in the search.
+    along : Trajectory, optional
+        What the certificate is for; the first scenario's path when omitted. Where the code's polynomial alone decides,
+        it is for the unit circle.
+    path_error_px : float
+        Rms error of the path where it is an estimate: the verdict counts it, the search does not.
+    figures : mapping from a name to a function, optional
+        Figures of merit of the user's own for the comparison, taken along the same motion; see
+        :func:`cep.proofs.measure.own_figures`. The search knows nothing of them.
+    threads : int, optional
+        As many as there are cores when omitted; the code does not depend on it.
+    blocks : Engine, optional
+        With method="exact": what runs the proof in blocks, and the folder that keeps it; see
+        :func:`cep.search.exhaustive.prove.prove`.
+    progress : callable, optional
+        Called with the finished share, 0..1, and a note.
+    on_found : callable, optional
+        Called with the code before it is compared and certified, which may take seconds.
+    on_best : callable, optional
+        Called with the best code so far while the search goes on, as often as ``progress``.
+
+    Raises
+    ------
+    ValueError
+        If the problem has no motion, its paths cannot be measured or are too short for so many chips, even the shortest
+        opening saturates at its light, or the method does not solve it; or a figure of the user's own fails.
+
+    Examples
+    --------
+    >>> problem = SearchProblem.along(Trajectory.straight(16.0), chips=16, open_range=(8, 8))
+    >>> best = optimize(problem, method="exact")
+    >>> best.code.bits, best.found.stopped
+    ('1010111100100100', 'proven')
+    """
+    how = Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)
+    if blocks is not None and method != "exact":
+        raise ValueError("blocks: needs method='exact', only a proof is cut into blocks")
+    if not problem.scenarios:
+        raise ValueError("scenarios: need a motion to compare and certify codes along")
+    motion = along or problem.scenarios[0].trajectory
+    check_frame(motion)
+    check_resolved(motion, problem.chips)
+    check_light(problem)
+    designed = as_designed(motion, problem.direction)
+    own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))  # one that fails does so before the search
+
+    def tell(share: float, best: ShutterCode) -> None:
+        on_best(best)
+        progress(_SEARCH_SHARE * share, f"{best.open_chips} open")
+
+    found = search(
+        searched_problem(problem),
+        replace(how, time_s=_NO_TIME_S) if interrupted else how,
+        start=start,
+        length_px=mean_length_px(problem),
+        threads=threads,
+        blocks=blocks,
+        progress=tell,
+    )
+    found = replace(found, stopped="interrupted") if interrupted else found
+    code = replace(found.code, chip_ns=problem.chip_ns)
+    on_found(code, found)
+    progress(_SEARCH_SHARE, "comparing with other codes")
+    comparison = compare(problem, code, baselines=found.baselines, figures=figures, along=motion)
+    judged = verdict(problem, code, path_error_px=path_error_px)
+    path = None if problem.on_circle else designed
+    certificate = certify(code, path)
+    bounded = _bounded(problem, found, comparison[0].metrics, straight=path is None, effort=effort)
+    progress(1.0, "")
+    return Optimum(problem, how, found, comparison, judged, path, certificate, *bounded)
+
+
+def searched_problem(problem: SearchProblem) -> SearchProblem:
+    """Return what is searched for a problem: the unit circle where only the code's polynomial matters."""
+    return replace(problem, scenarios=()) if problem.on_circle and problem.objective == "min-mtf" else problem
+
+
+def stored_search(described: Mapping[str, Any], found: Found) -> dict[str, Any]:
+    """Return what a code file says of its problem, and of the search that ended so."""
+    return {**described, "steps": found.steps, "stopped": found.stopped, "proof": found.proof}
+
+
+def ended_early(how: Search, stopped: str, moves: int | None) -> list[str]:
+    """Warn of a search that Ctrl-C or the time ended before its ``moves``."""
+    if stopped == "interrupted":
+        what = "proof" if how.method == "exact" else "search"
+        return [f"the {what} was stopped early, this is the best code so far"]
+    if stopped == "time" and moves is not None:
+        limit = f"the limit of {how.limit_s:g} s"
+        return [f"{limit} ended the search before its {moves:,} moves: another run may give another code"]
+    return []
+
+
+def _kept_blocks(found: Found) -> list[str]:
+    """Say how a proof in blocks goes on that was stopped early."""
+    proof = found.proof or {}
+    if found.stopped == "proven" or "blocks" not in proof:
+        return []
+    kept = f"{proof['finished']} of {proof['blocks']} blocks are kept in {proof['file']}"
+    return [f"{kept}: the same command with --force goes on from there"]
+
+
+def certificate_warnings(problem: SearchProblem) -> list[str]:
+    """Warn where a certificate does not cover all that the search counted."""
+    if problem.response is None and len(problem.scenarios) == 1 and problem.scenarios[0].edges is None:
+        return []
+    return ["the certificate is for a shutter that opens at once and on time, along the motion as it was given"]
+
+
+def search(
+    problem: SearchProblem,
+    how: Search,
+    *,
+    start: Sequence[ShutterCode] = (),
+    length_px: float | None = None,
+    threads: int | None = None,
+    progress: Callable[[float, ShutterCode], None] | None = None,
+    blocks: Engine | None = None,
+) -> Found:
+    """Search a code, or count all codes for the best.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    how : Search
+    start : sequence of ShutterCode
+        Codes to start an annealing from.
+    length_px : float, optional
+        Of the path, for the length-only code among the baselines; of the problem's when omitted.
+    threads : int, optional
+        As many as there are cores when omitted; the code does not depend on it.
+    progress : callable, optional
+        Called with the fraction done and the best code so far.
+    blocks : Engine, optional
+        What runs a proof in blocks, and the folder that keeps it.
+
+    Returns
+    -------
+    Found
+        No baseline within the limits has a lower cost. Along a path a proof is over the band's samples, though: it
+        stands, whatever a baseline is worth between them.
+
+    Raises
+    ------
+    ValueError
+        If the problem is not one that the method solves.
+    """
+    rng = np.random.default_rng(how.seed)
+    if how.method == "exact":
+        count: Callable[..., ExactResult] = exact
+        if blocks is not None:
+            from cep.search.exhaustive.prove import prove
+
+            count = partial(prove, folder=blocks.cache, workers=blocks.workers, dask=blocks.dask)
+        return prove_code(
+            problem, rng=rng, time_s=how.limit_s, length_px=length_px, progress=progress, threads=threads, count=count
+        )
+    return search_code(
+        problem,
+        rng=rng,
+        steps=how.moves(problem),
+        time_s=how.limit_s,
+        start=[*start, *(_rounded(problem, how.seed) if how.effort == "sdp" else ())],
+        length_px=length_px,
+        progress=progress,
+        threads=threads,
+    )
+
+
+def optimize_motion(
+    *, problem: SearchProblem, along: Trajectory, how: Search, figures: Sequence[str] = ()
+) -> dict[str, str]:
+    """Search a code with :func:`optimize` on one thread: the work of a cell, see :mod:`cep.jobs.engine`.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    along : Trajectory
+    how : Search
+    figures : sequence of str
+        Figures of merit of the user's own, each ``module:name``.
+
+    Returns
+    -------
+    dict of texts
+        For :func:`code_from_figures`.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If Ctrl-C ended the search: half a search must not count as a finished one.
+    """
+
+    def whole(_code: ShutterCode, found: Found) -> None:
+        if found.stopped == "interrupted":
+            raise KeyboardInterrupt
+
+    own = find_figures(figures)
+    best = optimize(problem, **asdict(how), along=along, figures=own, threads=1, on_found=whole)
+    parts = {"report": {**best.to_dict(), "warnings": best.warnings}, "file": best.stored({})}
+    return {name: json.dumps(plain(part), allow_nan=False) for name, part in parts.items()}
+
+
+def code_from_figures(figures: Mapping[str, Figure], described: Mapping[str, Any]) -> tuple[dict[str, Any], StoredCode]:
+    """Return the report of a code with its warnings, and what its file holds, from :func:`optimize_motion`'s texts.
+
+    Parameters
+    ----------
+    figures : mapping
+    described : mapping
+        What the file says of the problem; the search's steps and proof are added.
+    """
+    report, file = (json.loads(str(figures[part])) for part in ("report", "file"))
+    code = ShutterCode(report["bits"], report["chip_ns"])
+    return report, StoredCode(code, file["metrics"], {**described, **file["problem"]}, file["certificate"])
+
+
+def described_search(problem: SearchProblem, how: Search) -> dict[str, Any]:
+    """Describe a problem and how it is searched, as a code file does."""
+    return {
+        "chips": problem.chips,
+        **asdict(problem.runs),
+        "open_range": problem.open_limits,
+        "objective": problem.objective,
+        "direction": problem.direction,
+        "rule": problem.rule,
+        "camera": problem.camera.to_dict(),
+        "device": None if problem.device is None else problem.device.to_dict(),
+        "method": how.method,
+        "seed": how.seed,
+    }
+
+
+def _rounded(problem: SearchProblem, seed: int) -> list[ShutterCode]:
+    """Codes drawn from the relaxation along a path; on the unit circle it knows nothing of the code."""
+    from cep.search.bounding.bounds import relaxed_minimum
+    from cep.search.bounding.relaxation import rounded_codes
+
+    low, high = problem.open_limits
+    k = min(max((low + high) // 2, 2), problem.chips - 1)
+    if not problem.scenarios or problem.response is not None or not low <= k <= high or problem.chips > _RELAXED:
+        return []
+    try:
+        codes = rounded_codes(relaxed_minimum(problem, k), _ROUNDED, rng=np.random.default_rng([seed, 3]))
+    except ValueError:  # no solver found an optimum: the search does without
+        return []
+    return [ShutterCode.from_array(code) for code in codes]
+
+
+def _bounded(
+    problem: SearchProblem, found: Found, metrics: CodeMetrics, *, straight: bool, effort: Literal["quick", "sdp"]
+) -> tuple[str, float | None, float | None]:
+    """Name, bound and gap of the figure that was optimised, None where nothing bounds it."""
+    from cep.search.bounding.bounds import bound
+
+    if problem.objective not in ("min-mtf", "noise"):
+        return "", None, None
+    if straight and found.proof is not None and found.stopped == "proven":
+        limit, reached = found.proof["upper"], metrics.min_chip
+        return "min |P|, chips", limit, max(0.0, 1 - reached / limit) if limit > 0 else 0.0
+    limits = bound(problem, effort=effort)
+    if problem.objective == "noise":
+        return "noise gain, dB", limits.noise, metrics.noise_gain_db - limits.noise
+    limit, reached = (limits.min_chip, metrics.min_chip) if straight else (limits.min_mtf, metrics.min_mtf)
+    assert reached is not None  # along a uniform straight motion |P| is measured
+    # with so many open chips every code may have a zero: then the limit is 0, and reached
+    return "min |P|, chips" if straight else "min MTF", limit, 1 - reached / limit if limit > 0 else 0.0

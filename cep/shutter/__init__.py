@@ -1,0 +1,1 @@
+"""A code on a shutter controller: played, and read back."""

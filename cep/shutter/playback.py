@@ -1,0 +1,184 @@
+"""A recording of a shutter compared with what it should have played, and the code and PSF as achieved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.files.files import PSF_SUFFIXES, StoredCode, write_code, write_psf
+from cep.files.outputs import new_folder
+from cep.optics.as_played import achieved_code, achieved_psf
+from cep.optics.code import ShutterCode
+from hw.device import DeviceProfile
+from hw.program import Program
+from hw.recordings.capture import read_capture
+from hw.recordings.playback import Verification, align
+from motdiff.psf_frame import PSF_PX
+from motdiff.trajectory import Trajectory
+
+__all__ = ["Playback", "playback_files", "read_playback"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Playback:
+    """Plays of a program in a recording.
+
+    Attributes
+    ----------
+    program : Program
+        That should have been played.
+    signal : str
+        The shutter's, in the recording.
+    plays : tuple of Verification
+        One or more.
+    others : tuple of str
+        Signals with edges besides, where the shutter's was not named.
+    """
+
+    program: Program
+    signal: str
+    plays: tuple[Verification, ...]
+    others: tuple[str, ...] = ()
+
+    @property
+    def wrong(self) -> dict[int, Verification]:
+        """Plays that differ from the program, by their number, counted from 1."""
+        numbered = enumerate(self.plays, start=1)
+        return {number: play for number, play in numbered if play.problems or not play.same_bits}
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was assumed of the recording, one sentence each."""
+        short = sum(play.glitches for play in self.plays)
+        assumed = {
+            f"{self.signal} is taken for the shutter's, with most edges; {', '.join(self.others)} has some as well, "
+            "--signal names the right one": bool(self.others),
+            f"{self.signal} rests high: low is taken for open": self.plays[0].inverted,
+            f"{short} pulses of {self.signal} too short for a chip were passed over": short > 0,
+        }
+        return [warning for warning, holds in assumed.items() if holds]
+
+    @property
+    def code(self) -> ShutterCode:
+        """The first play's code, with its measured chip time."""
+        return achieved_code(self.plays[0], chip_ns=self.program.chip_ns)
+
+    def psf(self, motion: Trajectory, *, size: int = PSF_PX) -> FloatArray:
+        """PSF of the first play along a motion, (size, size), light-true: :func:`cep.optics.as_played.achieved_psf`.
+
+        Raises
+        ------
+        ValueError
+            If the path as played leaves the frame, no chip was open, or the clock was so slow that the motion is not
+            known for as long.
+        """
+        return achieved_psf(motion, self.plays[0], chip_ns=self.program.chip_ns, size=size)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON, as ``cep hw verify --json`` prints them."""
+        return {"played": not self.wrong, "plays": [_figures(play) for play in self.plays]}
+
+    def save(
+        self,
+        path: Path | str,
+        *,
+        motion: Trajectory | None = None,
+        device: DeviceProfile | None = None,
+        force: bool = False,
+    ) -> Sequence[Path]:
+        """Write the first play's code, and along a motion its PSF: all of :func:`playback_files` or none.
+
+        The code's file carries the profile of the shutter, where one is given.
+
+        Raises
+        ------
+        ValueError
+            If a file exists and ``force`` is not given, no chip was open, or the clock was so slow that the motion is
+            not known for as long.
+        """
+        output, play = Path(path), self.plays[0]
+        files = playback_files(output, with_psf=motion is not None)
+        with new_folder(output.parent, [file.name for file in files], force=force) as made:
+            about = {"played": play.verdict, "device": None if device is None else device.to_dict()}
+            write_code(made / output.name, StoredCode(self.code, problem=about))
+            if motion is not None:
+                size = max(PSF_PX, 2 * motion.frame_size())  # a slow clock goes on beyond the motion that was asked for
+                write_psf(made, self.psf(motion, size=size), stem=_psf_stem(output))
+        return files
+
+
+def playback_files(path: Path | str, *, with_psf: bool) -> list[Path]:
+    """List what :meth:`Playback.save` writes: the code, and with a motion its PSF beside it."""
+    output = Path(path)
+    return [output, *(output.with_name(_psf_stem(output) + suffix) for suffix in PSF_SUFFIXES if with_psf)]
+
+
+def read_playback(
+    capture: Path | str, program: Program | ShutterCode, *, signal: str | None = None, trigger: str | None = None
+) -> Playback:
+    """Read a recording of a shutter, and find the plays of a program in it.
+
+    Parameters
+    ----------
+    capture : path
+        VCD, or a CSV export of Saleae Logic.
+    program : Program or ShutterCode
+        That should have been played; a code with its chip time.
+    signal : str, optional
+        The shutter's; the busiest one when omitted.
+    trigger : str, optional
+        The trigger's: with it every play has its latency.
+
+    Raises
+    ------
+    ValueError
+        If the recording cannot be read or has no such signal, or nothing was played into it.
+
+    Examples
+    --------
+    A recording of an ideal shutter, as the exporter writes it:
+
+    >>> from tempfile import TemporaryDirectory
+    >>> from hw.export import EXPORTERS
+    >>> code = ShutterCode("110100100011", chip_ns=200_000)
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder, "played.vcd")
+    ...     _ = file.write_text(EXPORTERS["vcd"].export(Program.from_bits(code.bits, chip_ns=code.chip_ns)))
+    ...     found = read_playback(file, code)
+    >>> found.code == code, round(float(found.psf(Trajectory.straight(20.0)).sum()), 6)
+    (True, 0.5)
+    """
+    if isinstance(program, ShutterCode):
+        program = Program.from_bits(program.bits, chip_ns=program.chip_ns)
+    recording = read_capture(capture)
+    trace = recording.trace(signal)
+    asked = recording.trace(trigger) if trigger else None
+    plays = align(trace, program, trigger=asked)
+    found = Playback(program, trace.name, plays)
+    if signal is not None:
+        return found
+    # One that is much quieter is no rival, unless what was taken is wrong.
+    least = 1 if found.wrong else len(trace.edges) // 2
+    rivals = (each for each in recording.traces if each not in (trace, asked) and len(each.edges) >= max(least, 1))
+    return replace(found, others=tuple(each.name for each in rivals))
+
+
+def _psf_stem(output: Path) -> str:
+    return f"{output.stem}_psf"
+
+
+def _figures(play: Verification) -> dict[str, object]:
+    return {
+        "bits": play.achieved, "same_bits": play.same_bits, "start_ns": play.start_ns, "clock_ppm": -play.scale_ppm,
+        "jitter_ns": play.jitter_ns, "worst_ns": play.worst_ns, "widening_ns": play.widening_ns,
+        "latency_ns": play.latency_ns, "missing": play.missing, "extra": play.extra, "glitches": play.glitches,
+        "inverted": play.inverted,
+        "verdict": play.verdict, "problems": play.problems,
+    }  # fmt: skip

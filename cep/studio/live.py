@@ -1,0 +1,297 @@
+"""Figures, MTFs and simulated photos of one code after another along one motion, fast enough to follow a hand.
+
+What a code does not change is computed once and kept: the OTFs of the chips, and the ways to expose without a code.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
+
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.optics.path_limits import check_frame, check_resolved
+from cep.plots.codes import main_axis
+from cep.proofs.audit import with_proven_zero
+from cep.proofs.measure import CodeMetrics
+from cep.restoration.wiener import wiener
+from cep.search.advise import Verdict, verdict_of
+from cep.search.expected import ExpectedPsnr
+from cep.search.limits import Limits, RunLimits
+from cep.search.problem import SearchProblem
+from cep.search.scenarios import coded_sum, distinct_rows, scenario_rows
+from cep.search.ways import Way, WayFinder, check_light, judged_ways
+from hw.device import DeviceProfile
+from hw.program import Program
+from motdiff.simulate import valid_window
+
+__all__ = ["MAP_COLUMNS", "MAP_ROWS", "LiveBench", "LiveFigures", "LiveScene", "broken_limits"]
+
+FloatArray = NDArray[np.float64]
+
+MAP_COLUMNS, MAP_ROWS = 97, 49
+"""Frequencies of the MTF's map: x from -0.5 to 0.5, y from 0 to 0.5 cycles/px; the other half is its mirror image."""
+
+_CURVE = 241  # frequencies along the main axis, 0..0.5 cycles/px
+_BORDER_ROUNDS = 4  # of the filter: the photo is looked at, not measured
+_MOST_BYTES = 96 * 2**20  # of the OTFs of the paths near one that is not known exactly: 70 chips in both directions
+_BUDGET = 4_000  # cells of the proof of the minimum: milliseconds
+
+
+@dataclass(frozen=True)
+class LiveFigures:
+    """What is shown of a code.
+
+    Attributes
+    ----------
+    metrics : CodeMetrics
+        Worst of each figure over the directions that count. The lower bound of the minimum is proven.
+    curve : (F,) float
+        MTF along the motion's main axis, light-true, at :attr:`LiveBench.freq_cy_px`.
+    band : (MAP_ROWS, MAP_COLUMNS) float
+        MTF over half of the band.
+    """
+
+    metrics: CodeMetrics
+    curve: FloatArray
+    band: FloatArray
+
+
+class LiveBench:
+    """One motion, camera and shutter, at which codes are looked at one after the other.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        Of a single motion. Its limits count for the verdict alone.
+
+    Attributes
+    ----------
+    freq_cy_px : (F,) float
+        Frequencies of the curves.
+    axis : (2,) float
+        Unit vector of the main axis.
+
+    Raises
+    ------
+    ValueError
+        If the motion cannot be measured, or is too short for so many chips.
+
+    Examples
+    --------
+    >>> from motdiff.trajectory import Trajectory
+    >>> bench = LiveBench(SearchProblem.along(Trajectory.straight(20.0), chips=8))
+    >>> seen = bench.figures(ShutterCode("11100101"))
+    >>> f"{seen.curve[0]:.3f} {seen.metrics.min_chip:.3f}"
+    '0.625 0.913'
+    """
+
+    def __init__(self, problem: SearchProblem) -> None:
+        (scenario,) = problem.scenarios
+        check_frame(scenario.trajectory)
+        check_resolved(scenario.trajectory, problem.chips)
+        self.problem = problem
+        self.freq_cy_px = np.linspace(0, 0.5, _CURVE)
+        self.axis = main_axis(scenario.trajectory)
+        self._ways: tuple[float, tuple[Way, ...]] | None = None  # of the latest error of the path
+        self._expected: tuple[float, ExpectedPsnr] | None = None  # of this error
+        self._finding = threading.Lock()
+
+    def figures(self, code: ShutterCode) -> LiveFigures:
+        """Measure a code.
+
+        Raises
+        ------
+        ValueError
+            If it has another number of chips.
+        """
+        along = None if self.problem.on_circle else self.problem.scenarios[0].trajectory
+        metrics = with_proven_zero(code, along, self.problem.measure(code, budget=_BUDGET))
+        modulus = np.abs(coded_sum(self._rows, code.array[None])[0]).astype(np.float64)
+        return LiveFigures(metrics, modulus[:_CURVE], modulus[_CURVE:].reshape(MAP_ROWS, MAP_COLUMNS))
+
+    @cached_property
+    def _rows(self) -> NDArray[np.complex64]:
+        """OTFs of the chips on the curve and the map; photos do without."""
+        x, y = np.meshgrid(np.linspace(-0.5, 0.5, MAP_COLUMNS), np.linspace(0, 0.5, MAP_ROWS))
+        fx = np.concatenate([self.freq_cy_px * self.axis[0], x.ravel()])
+        fy = np.concatenate([self.freq_cy_px * self.axis[1], y.ravel()])
+        rows = scenario_rows(self.problem.scenarios[0], self.problem.chips, fx, fy, response=self.problem.response)
+        return distinct_rows(rows, self.problem.response).astype(np.complex64)
+
+    @cached_property
+    def opened(self) -> LiveFigures:
+        """The open shutter's."""
+        return self.figures(ShutterCode("1" * self.problem.chips))
+
+    def verdict(self, code: ShutterCode, *, path_error_px: float = 0.0) -> Verdict:
+        """Judge a code beside the ways to expose without one, as :func:`cep.search.advise.verdict` does.
+
+        The first call for a motion and an error finds and judges these ways, which takes some seconds; later ones judge
+        the code alone.
+
+        Parameters
+        ----------
+        code : ShutterCode
+        path_error_px : float
+            As of :func:`cep.search.advise.advise`.
+
+        Raises
+        ------
+        ValueError
+            If even the shortest opening saturates at the camera's light, or no way keeps the limits.
+        """
+        check_light(self.problem)
+        with self._finding:
+            if self._ways is None or self._ways[0] != path_error_px:
+                found = WayFinder(self.problem).ordinary(self.problem.camera, every_length=path_error_px > 0)
+                self._ways = path_error_px, self._judged(found, path_error_px)
+            ways = self._ways[1]
+            if not any(way.code.bits == code.bits for way in ways):
+                ways = (*ways, self._judged([code], path_error_px)[-1])
+        return verdict_of(self.problem, ways, [code], path_error_px=path_error_px)
+
+    def psnr_db(self, codes: Sequence[ShutterCode], *, path_error_px: float = 0.0) -> list[float]:
+        """Return the expected PSNR of photos restored along a path that is known to such an error."""
+        with self._finding:
+            judged = {way.code.bits: way.psnr_db for way in self._judged(codes, path_error_px)}
+        return [judged[code.bits] for code in codes]
+
+    def forget_otfs(self) -> None:
+        """Free the OTFs that verdicts use, tens of MB; the next verdict computes them again."""
+        with self._finding:
+            self._expected = None
+
+    def _judged(self, codes: Sequence[ShutterCode], path_error_px: float) -> tuple[Way, ...]:
+        if self._expected is None or self._expected[0] != path_error_px:
+            self._expected = None  # before the next one is made
+            made = ExpectedPsnr(self.problem, path_error_px=path_error_px, most_bytes=_MOST_BYTES)
+            self._expected = path_error_px, made
+        problem, expected = self.problem, self._expected[1]
+        return judged_ways(problem, [problem.camera], codes, path_error_px=path_error_px, expected=expected)[0]
+
+    def psf(self, code: ShutterCode) -> FloatArray:
+        """Light-true PSF of a code in the smallest odd frame that holds the motion."""
+        path = self.problem.scenarios[0].trajectory
+        return coded_psf(path, code, size=path.frame_size() | 1, response=self.problem.response)
+
+    def photo(self, code: ShutterCode, scene: LiveScene, *, side_px: int) -> FloatArray:
+        """Simulate the photo of the middle of a scene, at most so many px a side: a coded photo is darker.
+
+        Raises
+        ------
+        ValueError
+            If the scene is smaller than the PSF.
+        """
+        return scene.photo(self.psf(code), self._camera(code), side_px=side_px)
+
+    def restored(self, code: ShutterCode, photo: ArrayLike) -> FloatArray:
+        """Restore such a photo by a Wiener filter with the same PSF: what a motion that is known exactly allows."""
+        return wiener(photo, self.psf(code), camera=self._camera(code), border_rounds=_BORDER_ROUNDS)
+
+    def _camera(self, code: ShutterCode) -> Camera:
+        return self.problem.camera.with_dark_noise(ShutterCode(code.bits, self.problem.chip_ns).integration_ns * 1e-9)
+
+
+class LiveScene:
+    """A scene that is photographed through one code after another, for the eye.
+
+    Its spectrum and the draws of the noise are kept: a pixel has the same deviates in every photo. Photon noise is made
+    of a normal deviate z, as the electrons ``m + z sqrt(m) + (z^2 - 1) / 6``, rounded: the mean, variance and skewness
+    are those of the Poisson distribution (Cornish and Fisher 1938). Drawing that one takes 15 times as long.
+
+    Parameters
+    ----------
+    light : (H, W) or (H, W, 3) array_like, linear light 0..1
+    seed : int
+        Of the noise.
+    """
+
+    def __init__(self, light: ArrayLike, *, seed: int = 0) -> None:
+        pixels = np.asarray(light, dtype=np.float32)
+        self._colour = pixels.ndim == 3
+        layers = np.moveaxis(np.atleast_3d(pixels), 2, 0)
+        self.shape = pixels.shape[:2]
+        self._spectrum = fft.rfft2(layers)
+        rng = np.random.default_rng(seed)
+        self._photon, self._read = rng.standard_normal((2, *layers.shape), dtype=np.float32)
+
+    def photo(self, psf: FloatArray, camera: Camera, *, side_px: int) -> FloatArray:
+        """Return the photo of its middle, at most so many px a side.
+
+        Raises
+        ------
+        ValueError
+            If the PSF is larger than the scene.
+        """
+        seen = [_middle(one, side_px) for one in valid_window(self.shape, psf.shape)]
+        kernel = fft.rfft2(psf.astype(np.float32), self.shape)
+        blurred = fft.irfft2(self._spectrum * kernel, self.shape)  # lies half a frame further; its wrap is not seen
+        below, right = (slice(one.start + n // 2, one.stop + n // 2) for one, n in zip(seen, psf.shape, strict=True))
+        window = (slice(None), *seen)
+        noise, z = camera.noise, self._photon[window]
+        electrons = np.maximum(blurred[:, below, right], 0) * np.float32(noise["photons_full_scale"])
+        electrons += np.sqrt(electrons) * z + (z * z - 1) / 6
+        counted = np.maximum(np.rint(electrons), 0)
+        light = counted / np.float32(noise["photons_full_scale"]) + noise["read_sigma"] * self._read[window]
+        taken = camera.quantise(light)
+        return np.ascontiguousarray(np.moveaxis(taken, 0, 2)) if self._colour else taken[0]
+
+
+def _middle(whole: slice, most: int) -> slice:
+    """Middle of a range of pixels, at most so many."""
+    size = min(whole.stop - whole.start, most)
+    begin = whole.start + (whole.stop - whole.start - size) // 2
+    return slice(begin, begin + size)
+
+
+_WORDS = {
+    "open_range": "{open} chips are open; the limit is {low} to {high}",
+    "min_open": "an opening is shorter than {limit} chips",
+    "min_closed": "a gap is shorter than {limit} chips",
+    "max_open": "an opening is longer than {limit} chips",
+    "max_pulses": "the shutter opens {pulses} times; the limit is {limit}",
+    "min_period": "openings begin less than {limit} chips apart",
+    "fixed": "a chip that is fixed is changed",
+}
+
+
+def broken_limits(problem: SearchProblem, code: ShutterCode, device: DeviceProfile | None = None) -> tuple[str, ...]:
+    """List the limits that a code breaks, one sentence each; none where it can be played.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    code : ShutterCode
+    device : DeviceProfile, optional
+        Shutter that plays it; its own sentences come first.
+
+    Examples
+    --------
+    >>> from motdiff.trajectory import Trajectory
+    >>> problem = SearchProblem.along(Trajectory.straight(20.0), chips=8, open_range=(2, 4))
+    >>> broken_limits(problem, ShutterCode("11100101"))
+    ('5 chips are open; the limit is 2 to 4',)
+    """
+    said = list(device.check(Program.from_bits(code.bits, chip_ns=problem.chip_ns))) if device else []
+    if said or problem.allows(code):
+        return tuple(said)
+    bits, limits = code.array[None].astype(np.int8), problem.limits
+    low, high = limits.open_range
+    for name, words in _WORDS.items():
+        if name == "open_range":
+            alone = Limits(limits.chips, limits.open_range)
+        else:
+            kept = RunLimits(**{name: getattr(limits.runs, name)})
+            alone = replace(limits, open_range=(1, limits.chips), runs=kept)
+        if not alone.satisfied(bits)[0]:
+            limit = getattr(limits.runs, name, None)
+            said.append(words.format(open=code.open_chips, low=low, high=high, limit=limit, pulses=code.pulses))
+    return tuple(said)

@@ -1,1 +1,0 @@
-"""What each command does, as functions of Python: calibrate, optimise, compare, and the demo."""

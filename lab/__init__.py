@@ -1,0 +1,1 @@
+"""The laboratory: comparisons, rivals, trainings and studies around the product."""

@@ -1,0 +1,148 @@
+"""Estimators of the blind table: their names, labels, and cache versions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from cep.jobs.fingerprint import source_version
+from lab.bench.blind.work import CEILINGS, FLOORS
+from lab.evaluation.methods import METHODS, named_estimators, split_weights
+from lab.weights import PATH_WEIGHTS, PSF_WEIGHTS
+from motdiff.files.plugins import is_reference
+from motdiff.weights import DEFAULT_WEIGHTS
+from motdiff.weights.correction import CORRECTION_WEIGHTS
+
+__all__ = ["OURS", "SMALL_BUDGETS", "UNUSUAL", "USUAL", "budget_warning", "label_of", "select_methods", "version_of"]
+
+USUAL = ("pmp", "motdiff", "network", "parametric", "psf-diffusion")
+"""Estimators of every table."""
+UNUSUAL = {"selfdeblur": "takes hours a photo", "blinddps": "needs weights, named blinddps:FOLDER"}
+"""Estimators that are measured when named, and why only then."""
+OURS = ("motdiff", "networks", "network")
+"""The first of these that is measured is what others are compared with."""
+SMALL_BUDGETS = {"parametric": 16_016, "psf-diffusion": 12_816}
+"""Samples that the shipped baselines were trained on, after a start from MoTDiff's condition network."""
+
+_WEIGHTS = {
+    "motdiff": DEFAULT_WEIGHTS,
+    "network": DEFAULT_WEIGHTS,
+    "networks": DEFAULT_WEIGHTS,
+    "parametric": PATH_WEIGHTS,
+    "psf-diffusion": PSF_WEIGHTS,
+}
+_CORRECTED = ("motdiff", "networks")
+_FOLLOWED = {
+    "network": "motdiff.estimators.motdiff",
+    "networks": "motdiff.estimators.motdiff",
+    "parametric": "lab.rivals.parametric",
+    "psf-diffusion": "lab.rivals.psf_diffusion",
+    "selfdeblur": "lab.rivals.selfdeblur",
+    "blinddps": "lab.rivals.blinddps",
+}
+
+_TAKING = (
+    "lab.bench.blind.work",
+    "lab.bench.psf_text",
+    "lab.bench.blind.cases",
+    "lab.bench.datasets",  # the crop
+    "motdiff.simulate",
+    "cep.files.images",  # gamma
+    "motdiff.files.decoding",
+    "motdiff.threads",  # the one thread
+)
+"""Modules that take and measure a photo; what else they import has no part in it, or is followed."""
+
+
+def select_methods(names: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
+    """Select the estimators to measure: those named, or the default ones whose weights are there.
+
+    Returns
+    -------
+    names : tuple of str
+    warnings : list of str, one for each default one that is left out
+
+    Raises
+    ------
+    ValueError
+        If a name is not known, comes twice, or its weights are missing.
+    FileNotFoundError
+        If there is no file of the weights that a name has.
+    """
+    labels = [label_of(name) for name in names]
+    if len(set(labels)) < len(labels):
+        twice = next(label for label in labels if labels.count(label) > 1)
+        raise ValueError(f"methods: every one must come once, {twice} comes twice")
+    for name in names:
+        own = split_weights(name)[1]
+        if own is None and (path := _weights(name)) is not None and not path.is_file():
+            raise ValueError(f"methods: {name} has no weights in this package ({path.name} is missing)")
+        named_estimators([name])  # refuses an unknown one, and broken weights, before hours of work
+    if names:
+        return tuple(_found_from_anywhere(name) for name in names), []
+    left_out = {name: path for name in USUAL if (path := _weights(name)) is not None and not path.is_file()}
+    warnings = [f"{name} is left out: {path.name} is not in this package" for name, path in left_out.items()]
+    return tuple(name for name in USUAL if name not in left_out), warnings
+
+
+def budget_warning(methods: Iterable[str]) -> str | None:
+    """Warning that trained baselines among ``methods`` had less training than MoTDiff; None where there is none."""
+    names = {method.split(":")[0] for method in methods}
+    if not (small := [f"{name} {samples:,}" for name, samples in SMALL_BUDGETS.items() if name in names]):
+        return None
+    return (
+        f"smaller training budgets than MoTDiff's 209,600 samples drawn from 13,376 prepared ones: "
+        f"{' and '.join(small)} from 704, after a start from its condition network at 62,400"
+    )
+
+
+def label_of(method: str) -> str:
+    """Label of a method in tables: a file or folder of weights by its own name, without its path."""
+    return _relocated(method, lambda path: path.name)
+
+
+def version_of(method: str) -> str:
+    """Cache version of a method: fingerprint of its code, its weights, and the code that measures it.
+
+    Parameters
+    ----------
+    method : str
+        An estimator, a floor or a ceiling. Of one of the user's own, the module that it names counts, and what of ours
+        that module imports.
+    """
+    followed, alone = ["lab.evaluation.measure"], list(_TAKING)
+    if method in (*FLOORS, *CEILINGS):
+        return source_version([*followed, "lab.evaluation.floors"], alone=alone)
+    first = split_weights(method)[0].split(":")[0]
+    own = first not in METHODS and is_reference(method)
+    followed.append(first if own else _FOLLOWED.get(first, f"motdiff.estimators.{first}"))
+    weights = _weights(method)
+    if folder := _folder(method):
+        files = sorted(path for path in Path(folder).rglob("*") if path.is_file())
+    else:
+        files = [] if weights is None else [weights]
+        files += [CORRECTION_WEIGHTS] if first in _CORRECTED else []
+    return source_version(followed, alone=[*alone, "lab.evaluation.methods"], files=files)
+
+
+def _weights(method: str) -> Path | None:
+    name, own = split_weights(method)
+    return own or _WEIGHTS.get(name.split(":")[0])
+
+
+def _folder(method: str) -> str:
+    name, _, folder = method.partition(":")
+    return folder if name == "blinddps" else ""
+
+
+def _found_from_anywhere(method: str) -> str:
+    """Absolute form of a method with weights of its own: workers may have another current folder."""
+    return _relocated(method, lambda path: str(path.absolute()))
+
+
+def _relocated(method: str, place: Callable[[Path], str]) -> str:
+    name, file = split_weights(method)
+    if file is not None:
+        return f"{name}@{place(file)}"
+    folder = _folder(method)
+    return f"{method.partition(':')[0]}:{place(Path(folder))}" if folder else method

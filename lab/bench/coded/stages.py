@@ -1,0 +1,270 @@
+"""Stages of the coded-exposure table as pure functions: estimate a motion, choose a code, take and restore a photo."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from cep.optics.camera import Camera
+from cep.optics.capture import capture
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.proofs.measure import CodeMetrics, measure
+from cep.restoration import find_psf, restore
+from cep.restoration.direction import detect_direction
+from lab.bench.coded.designs import MotionPrior, design_code
+from lab.bench.coded.protocol import paths_from, paths_to
+from lab.bench.datasets import Cut, sharp_scene
+from lab.bench.psf_text import psf_from_text, psf_to_text
+from motdiff.files.plugins import is_reference
+from motdiff.metrics import laid_on, mnc_subpixel, psnr_ssim_up_to_shift
+from motdiff.psf_frame import PSF_PX, moved
+from motdiff.simulate import visible
+from motdiff.threads import one_thread
+from motdiff.trajectory import Trajectory
+
+__all__ = [
+    "Taken",
+    "choose_code",
+    "estimate_motion",
+    "find_kernel",
+    "kernel_of",
+    "motion_of",
+    "photo_of",
+    "photographed",
+    "pictures_of",
+    "take_photo",
+]
+
+
+FloatArray = NDArray[np.float64]
+_ZERO = 1e-9
+_CROP_PX = 32  # left out of every comparison: restored borders lean on a guess
+
+
+def take_photo(
+    scene: ArrayLike, motion: str, assumed: str | None, *, kernel: str | None = None, bits: str, borders: str,
+    light_true: bool, restoration: str, border_rounds: int, camera: Mapping[str, Any], seed: int,
+) -> dict[str, float]:  # fmt: skip
+    """Take the coded photo along the true motion, restore it, and compare it with the scene.
+
+    Parameters
+    ----------
+    scene : (H, W) array_like, linear light 0..1
+    motion : str
+        True path.
+    assumed : str or None
+        Path given to the restoration, of unknown direction unless stated otherwise; None: the true PSF is given.
+    kernel : str, optional
+        Kernel given to the restoration instead, as of :func:`find_kernel`.
+    bits : str
+    borders : {"real", "symmetric"}
+    light_true : bool
+        Whether the photo has the code's light, or as much as with an open shutter.
+    restoration : str
+        The Wiener filter has the camera's noise; a function of the user's own has the photo and the PSF alone.
+    border_rounds : int
+        Rounds of reblurring outside the photo's borders.
+    camera : mapping
+    seed : int
+
+    Returns
+    -------
+    dict with ``psnr_db`` and ``ssim`` (linear light, up to shift), ``noise_gain_db`` and ``reversed_noise_gain_db``
+    (along the true motion and against it, at the light that the photo has; infinite on a straight, even motion whose
+    MTF has a zero), and ``min_mtf`` (light-true)
+    """
+    taken = photographed(
+        scene, motion, assumed, kernel=kernel, bits=bits, borders=borders, light_true=light_true,
+        restoration=restoration, border_rounds=border_rounds, camera=camera, seed=seed,
+    )  # fmt: skip
+    along, against = _both_ways(motion, bits)
+    code = ShutterCode(bits)
+    lent_db = 0.0 if light_true else 20 * math.log10(code.duty)
+    psnr_db, ssim = psnr_ssim_up_to_shift(taken.restored, taken.target, crop_px=_CROP_PX)
+    return {
+        "psnr_db": psnr_db,
+        "ssim": ssim,
+        "noise_gain_db": _gain_db(along) + lent_db,
+        "reversed_noise_gain_db": _gain_db(against) + lent_db,
+        "min_mtf": along.min_mtf,
+    }
+
+
+@lru_cache(maxsize=4096)  # every photo is taken with the same motions, and most codes do not depend on the photo
+def _both_ways(motion: str, bits: str) -> tuple[CodeMetrics, CodeMetrics]:
+    """Measure a code along a motion and against it."""
+    path, code = paths_from(motion)[0][0], ShutterCode(bits)
+    return measure(path, code, budget=0), measure(path.reversed(), code, budget=0)
+
+
+def _gain_db(metrics: CodeMetrics) -> float:
+    # on a line of zeros, as an open shutter has on straight motion, samples near it would give any figure
+    return math.inf if metrics.min_chip is not None and metrics.min_mtf < _ZERO else metrics.noise_gain_db
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Images behind one row of figures: linear light, (H, W), and the true coded PSF, (64, 64)."""
+
+    photo: FloatArray
+    psf: FloatArray
+    restored: FloatArray
+    target: FloatArray
+
+
+def photographed(
+    scene: ArrayLike, motion: str, assumed: str | None, *, kernel: str | None = None, bits: str, borders: str,
+    light_true: bool, restoration: str, border_rounds: int, camera: Mapping[str, Any], seed: int,
+) -> Taken:  # fmt: skip
+    """Take and restore the photo of :func:`take_photo`, whose parameters these are."""
+    truth, code = paths_from(motion)[0][0], ShutterCode(bits)
+    psf = coded_psf(truth, code, PSF_PX)
+    scale = 1.0 if light_true else 1 / code.duty
+    shown = np.asarray(scene, dtype=np.float64)
+    sensor = Camera.from_dict(camera)
+    photo = _photo_through(shown, scale * psf, borders=borders, camera=sensor, seed=seed)
+    rest_px = np.zeros(2)
+    if kernel is not None:
+        used = scale * code.duty * laid_on(psf, psf_from_text(kernel))
+    else:
+        found = psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
+        # A photo does not determine the position of its scene: on a straight path a short exposure at the end has the
+        # PSF of one at the start, displaced. Restored with either, the scene has the same quality at another position.
+        away_px = _displacement_px(found, psf)
+        whole_px = np.round(away_px).astype(int)
+        used = scale * moved(found, down_px=whole_px[0], right_px=whole_px[1])
+        rest_px = whole_px - away_px
+    options: dict[str, Any] = {} if is_reference(restoration) else {"border_rounds": border_rounds}
+    if restoration == "wiener":
+        options["camera"] = sensor
+    restored = restore(photo, used, method=restoration, **options).image
+    if rest_px.any():
+        restored = ndimage.shift(restored, rest_px, order=5, mode="nearest")
+    restored = np.clip(restored, 0, 1)
+    return Taken(photo, psf, restored, visible(shown, PSF_PX, borders=borders))
+
+
+def _photo_through(scene: FloatArray, psf: FloatArray, *, borders: str, camera: Camera, seed: int) -> FloatArray:
+    return capture(scene, psf, camera=camera, rng=np.random.default_rng([seed, 3]), borders=borders)
+
+
+def find_kernel(
+    scene: ArrayLike, motion: str, *, bits: str, borders: str, light_true: bool, camera: Mapping[str, Any], seed: int
+) -> dict[str, float | str]:
+    """Find the kernel in the photo of :func:`take_photo`, whose parameters these are, as ``cep deblur`` does.
+
+    Returns
+    -------
+    dict with ``psf`` of sum 1 (:func:`lab.bench.psf_text.psf_to_text`), ``mnc`` (sub-pixel), ``confidence``, ``cpu_s``
+    """
+    truth, code = paths_from(motion)[0][0], ShutterCode(bits)
+    psf = coded_psf(truth, code, PSF_PX)
+    scale = 1.0 if light_true else 1 / code.duty
+    photo = _photo_through(
+        np.asarray(scene, dtype=np.float64), scale * psf, borders=borders,
+        camera=Camera.from_dict(camera), seed=seed,
+    )  # fmt: skip
+    started = time.process_time()
+    with one_thread():
+        found = find_psf(photo, code if light_true else None)  # None: as much light as an open shutter has
+    return {
+        "psf": psf_to_text(found.psf),
+        "mnc": mnc_subpixel(found.psf, psf),
+        "confidence": found.confidence,
+        "cpu_s": time.process_time() - started,
+    }
+
+
+def _displacement_px(psf: FloatArray, other: FloatArray) -> FloatArray:
+    """Displacement of the centroid of ``other`` from that of ``psf``, (2,): down and right."""
+    of_one, of_other = (np.array(ndimage.center_of_mass(one)) - np.array(one.shape) // 2 for one in (psf, other))
+    return np.asarray(of_other - of_one, dtype=np.float64)
+
+
+def _assumed_psf(photo: FloatArray, path: Trajectory, code: ShutterCode) -> FloatArray:
+    if path.direction == "known" or code.bits == code.bits[::-1]:
+        return coded_psf(path, code, path.frame_size(PSF_PX))
+    return detect_direction(photo, path, code, size=PSF_PX).psf
+
+
+def choose_code(
+    prior: MotionPrior, *, design: str, chips: int, open_range: tuple[int, int], objective: str,
+    camera: Mapping[str, Any], steps: int, seed: int,
+) -> dict[str, float | str]:  # fmt: skip
+    """Choose the code of a design (:mod:`lab.bench.coded.designs`); returns ``bits`` and ``cpu_s``."""
+    started = time.process_time()
+    code = design_code(
+        design, prior, chips=chips, open_range=open_range, objective=objective, camera=Camera.from_dict(camera),
+        steps=steps, rng=np.random.default_rng([seed, 2]),
+    )  # fmt: skip
+    return {"bits": code.bits, "duty": code.duty, "cpu_s": time.process_time() - started}
+
+
+def estimate_motion(
+    scene: ArrayLike, motion: str, *, method: str, borders: str, camera: Mapping[str, Any], seed: int
+) -> dict[str, float | str]:
+    """Take the calibration photo, shutter open, and estimate the motion from it.
+
+    Parameters
+    ----------
+    scene : (H, W) array_like, linear light 0..1
+    motion : str
+        True path, of :func:`lab.bench.coded.protocol.paths_to`.
+    method : str
+        Name of an estimator of :mod:`lab.evaluation.methods`.
+    borders : {"real", "symmetric"}
+    camera : mapping
+        Of :meth:`cep.optics.camera.Camera.to_dict`.
+    seed : int
+
+    Returns
+    -------
+    dict with ``paths``, ``mnc`` (sub-pixel, of the path's own PSF), ``cpu_s``
+    """
+    from lab.evaluation.methods import named_estimators
+    from motdiff.estimators.from_kernel import as_estimate
+
+    truth = paths_from(motion)[0][0]
+    rng = np.random.default_rng([seed, 1])
+    photo = capture(scene, truth.psf(PSF_PX), camera=Camera.from_dict(camera), rng=rng, borders=borders)
+    estimator = named_estimators([method])[method]
+    started = time.process_time()
+    result = estimator.estimate(np.clip(photo, 0, 1))
+    seconds = time.process_time() - started
+    estimate = as_estimate(result, method)
+    found = estimate.trajectories[0]
+    return {
+        "paths": paths_to(estimate.trajectories, estimate.weights),
+        "mnc": mnc_subpixel(found.psf(found.frame_size(PSF_PX)), truth.psf(PSF_PX)),
+        "cpu_s": seconds,
+    }
+
+
+def motion_of(photo: Path, cut: Cut, **arguments: Any) -> dict[str, float | str]:
+    """Estimate a motion, as :func:`lab.bench.coded.stages.estimate_motion` does."""
+    return estimate_motion(sharp_scene(photo, cut), **arguments)
+
+
+def kernel_of(photo: Path, cut: Cut, **arguments: Any) -> dict[str, float | str]:
+    """Find the kernel of a photo, as :func:`lab.bench.coded.stages.find_kernel` does."""
+    return find_kernel(sharp_scene(photo, cut), **arguments)
+
+
+def photo_of(photo: Path, cut: Cut, **arguments: Any) -> dict[str, float]:
+    """Take and compare a photo, as :func:`lab.bench.coded.stages.take_photo` does."""
+    return take_photo(sharp_scene(photo, cut), **arguments)
+
+
+def pictures_of(photo: Path, cut: Cut, **arguments: Any) -> Taken:
+    """Images of the photo of :func:`photo_of`."""
+    return photographed(sharp_scene(photo, cut), **arguments)

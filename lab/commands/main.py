@@ -1,0 +1,45 @@
+"""The commands of ``python -m lab``: comparisons with published work, Pareto fronts."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from cep.commands.commands import Command, Group
+from cep.commands.main import run_app
+from lab.commands import bench, pareto
+
+app = typer.Typer(
+    name="lab",
+    cls=Group,
+    help="The laboratory of coded-exposure: comparisons with what others published, proofs and studies.",
+    epilog="Begin with: python -m lab bench --quick -o bench",
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    add_completion=False,
+)
+
+
+@app.callback()
+def _root() -> None:
+    pass  # a group without work of its own
+
+
+app.add_typer(bench.bench, name="bench", cls=Group)
+app.command("pareto")(pareto.pareto)
+for _group in (app, bench.bench):
+    for _command in _group.registered_commands:
+        _command.cls = Command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command of the laboratory and return its exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command line without the program's name; that of this process when omitted.
+    """
+    return run_app(app, list(sys.argv[1:] if arguments is None else arguments) or ["--help"], name="python -m lab")

@@ -1,0 +1,201 @@
+"""The estimators that can be measured, by name."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
+from motdiff.files.plugins import is_reference
+from motdiff.psf_frame import in_frame
+
+__all__ = ["METHODS", "SLOW_METHODS", "NetworkAlone", "named_estimators", "split_weights"]
+
+SLOW_METHODS = ("selfdeblur", "blinddps")
+"""Hours per photo on a CPU: run only where they are named."""
+
+METHODS = ("pmp", "motdiff", "network", "networks", "parametric", "psf-diffusion", *SLOW_METHODS)
+"""Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both take one DDIM step where
+none are named), ``network:SAMPLER:STEPS:DRAWS``, which measures that many draws of each photo as well, ``networks``
+with the same additions, whose draws are corrected by the second network,
+``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps tells only what it needs.
+``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE``, or ``networks``, take other weights of MoTDiff than the
+package's."""
+
+_WITH_WEIGHTS = ("motdiff", "network", "networks")
+
+
+class NetworkAlone:
+    """The network's output: no scoring, no refinement, no fall-back; unchanged, or corrected by the second network.
+
+    The paper measures draws of many steps; one step, as MoTDiff takes here, gives the mean guess and a higher MNC.
+
+    Parameters
+    ----------
+    weights : path, optional
+        The shipped ones when omitted.
+    sampler : str
+        See :func:`motdiff.network.diffusion.samples`.
+    steps : int
+    seed : int
+    count : int
+        Number of draws. The first is the estimate, which has them all where there are several.
+    corrected : bool
+        Whether each draw is corrected (:mod:`motdiff.network.correction`), told of the kernels of quick searches.
+    """
+
+    def __init__(
+        self,
+        weights: Path | None = None,
+        *,
+        sampler: str = "ddim",
+        steps: int = 1,
+        seed: int = 0,
+        count: int = 1,
+        corrected: bool = False,
+    ) -> None:
+        import torch
+
+        from motdiff.network.diffusion import cosine_schedule, samples
+        from motdiff.weights import load_network
+        from motdiff.weights.correction import load_correction
+
+        # refuses an unknown sampler or number of steps now, not at every photo
+        samples(
+            lambda x, _t: x, (1,), schedule=cosine_schedule(), steps=steps, generator=torch.Generator(), method=sampler
+        )
+        self._network = load_network() if weights is None else load_network(weights)
+        if count < 1:
+            raise ValueError(f"count: must be at least 1, got {count}")
+        self._sampler, self._steps, self._seed, self._count = sampler, steps, seed, count
+        self._correction = load_correction() if corrected else None
+
+    def estimate(self, photo: NDArray[np.float64]) -> MotionEstimate:
+        """Draw motions from ``photo``, (H, W) or (H, W, 3)."""
+        import torch
+
+        from motdiff.crops import luminance
+        from motdiff.estimators.kernel_score import noise_sigma
+        from motdiff.estimators.motdiff.correcting import corrected_kernel
+        from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
+        from motdiff.tracing import simplest_trajectory
+
+        grey, method = luminance(photo), "network"
+        sigma, classical = noise_sigma(grey), np.zeros((0, 64, 64))
+        if self._network.physics is not None or self._correction is not None:
+            classical = quick_search(grey[None], sigma=sigma)
+        generator = torch.Generator().manual_seed(self._seed)
+        drawn = draw_psfs(
+            self._network,
+            grey[None],
+            classical,
+            count=self._count,
+            steps=self._steps,
+            generator=generator,
+            method=self._sampler,
+        )
+        if self._correction is not None:
+            others, method = list(classical[:2]), "networks"
+            better = [corrected_kernel(self._correction, grey[None], psf, others, sigma=sigma) for psf in drawn]
+            drawn = in_frame(np.stack(better))
+        psf, draws = drawn[0], tuple(drawn) if len(drawn) > 1 else ()
+        return MotionEstimate(method, (simplest_trajectory(psf),), (1.0,), psf, confidence=0.0, draws=draws)
+
+
+def split_weights(method: str) -> tuple[str, Path | None]:
+    """Split ``motdiff@FILE`` or ``network@FILE`` into the method and its file of weights, None where there is none."""
+    name, at, file = method.partition("@")
+    return (name, Path(file)) if at and name.split(":")[0] in _WITH_WEIGHTS else (method, None)
+
+
+def named_estimators(methods: Sequence[str]) -> dict[str, Estimator]:
+    """Make estimators by name.
+
+    Parameters
+    ----------
+    methods : sequence of names in :data:`METHODS`, or of ``module:name``, see
+        :func:`motdiff.estimators.base.load_estimator`
+
+    Returns
+    -------
+    dict from the name to the estimator, in the order asked for
+
+    Raises
+    ------
+    ValueError
+        If a method is unknown.
+    FileNotFoundError
+        If a file of weights is missing.
+    """
+    return {method: _named(method) for method in methods}
+
+
+def _named(method: str) -> Estimator:
+    name, weights = split_weights(method)
+    kind = name.split(":")[0]
+    if kind not in METHODS:
+        if not is_reference(method):
+            raise ValueError(f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}")
+        return load_estimator(method)
+    if weights is not None and not weights.is_file():
+        raise FileNotFoundError(f"{weights}: no such file of weights")
+    if name == "pmp":
+        from motdiff.estimators.pmp import PmpEstimator
+
+        return PmpEstimator()
+    if name == "parametric":
+        from lab.rivals.parametric import ParametricEstimator
+
+        return ParametricEstimator()
+    option = name.partition(":")[2]
+    match kind:
+        case "selfdeblur":
+            return _selfdeblur(option)
+        case "blinddps":
+            from lab.rivals.blinddps import BlindDpsEstimator, load_priors
+
+            return BlindDpsEstimator(load_priors(option) if option else None)
+        case "psf-diffusion":
+            return _psf_diffusion(option)
+    return _of_network(name, weights)
+
+
+def _psf_diffusion(steps: str) -> Estimator:
+    from lab.rivals.psf_diffusion import PsfDiffusionEstimator
+
+    if steps and not steps.isdigit():
+        raise ValueError(f"method: must be psf-diffusion or psf-diffusion:STEPS, got {'psf-diffusion:' + steps!r}")
+    return PsfDiffusionEstimator(steps=int(steps)) if steps else PsfDiffusionEstimator()
+
+
+def _selfdeblur(iterations: str) -> Estimator:
+    from lab.rivals.selfdeblur import SelfDeblurConfig, SelfDeblurEstimator
+
+    if iterations and not iterations.isdigit():
+        raise ValueError(f"method: must be selfdeblur or selfdeblur:ITERATIONS, got {'selfdeblur:' + iterations!r}")
+    config = SelfDeblurConfig(iterations=int(iterations)) if iterations else SelfDeblurConfig()
+    # an interrupted evaluation resumes in the middle of its photo
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return SelfDeblurEstimator(config=config, checkpoints=cache / "motdiff" / "selfdeblur")
+
+
+def _of_network(method: str, weights: Path | None) -> Estimator:
+    if method == "motdiff":
+        from motdiff.estimators.motdiff import MotDiffEstimator
+
+        return MotDiffEstimator(weights=weights)
+    alone = partial(NetworkAlone, weights, corrected=method.startswith("networks"))
+    match method.split(":"):
+        case ["network" | "networks"]:
+            return alone()
+        case ["network" | "networks", sampler, steps] if steps.isdigit():
+            return alone(sampler=sampler, steps=int(steps))
+        case ["network" | "networks", sampler, steps, count] if steps.isdigit() and count.isdigit() and int(count) > 0:
+            return alone(sampler=sampler, steps=int(steps), count=int(count))
+    known = "network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS, or networks with the same additions"
+    raise ValueError(f"method: must be {known}, got {method!r}")

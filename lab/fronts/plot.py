@@ -1,0 +1,223 @@
+"""Figure of a Pareto front in minimum, noise and light, with the published codes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cep.files.foreign_text import plot_text
+from cep.optics.mtf import HOPELESS_DB
+from cep.plots.canvas import COLOURS, least_pt, new_figure
+from lab.fronts.front import Front, FrontPoint, knees
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["pareto_figure"]
+
+FloatArray = NDArray[np.float64]
+
+_COLOUR_MAP = "viridis"
+_WIDTH_IN = 9.5
+_WIDEST_DB = 14.0  # beyond the least noise: farther codes are named in a corner
+_REACH_PT = (9.0, 16.0, 26.0, 40.0, 58.0, 80.0, 110.0, 150.0)  # between a point and its label
+_AROUND = 24  # directions tried for a label
+_GAP_PX = 3.0
+_NEAR_PX = 6.0  # from a point to a label's line
+_UNITS = {
+    "chips": "smallest |P| over the unit circle, chips",
+    "light-true": "smallest |H| over the band, light-true",
+    "light-true, sampled": "smallest |H| over the samples, light-true",
+}
+
+
+def pareto_figure(front: Front, published: Mapping[str, FrontPoint] | None = None, *, title: str = "") -> Figure:
+    """Draw minimum against noise gain, coloured by light; along curved paths light against noise gain.
+
+    Thin lines join the best codes of equal light, large dots are the front, crosses the published codes.
+
+    Parameters
+    ----------
+    front : Front
+        With at least one point.
+    published : mapping of name to FrontPoint, optional
+        Codes to compare with, measured by :func:`lab.fronts.pareto.front_points`.
+    title : str
+
+    Raises
+    ------
+    ValueError
+        If the front has no points.
+    """
+    if not front.points:
+        raise ValueError("front: has no points to draw")
+    figure = new_figure(_WIDTH_IN, 6.4)
+    axes = figure.subplots()
+    counts = {p.open_chips for p in front.points}
+    beaten = [
+        point
+        for count, curve in front.curves.items()
+        for point in curve
+        if point not in front.points and (front.sampled or count in counts)
+    ]
+    limit_db = min(p.noise_db for p in front.points) + _WIDEST_DB
+    drawn = [p for p in front.points if p.noise_db <= limit_db]
+    colours = _colours(front)
+    _lines(axes, front, colours)
+    beaten = [p for p in beaten if p.noise_db <= limit_db]
+    small: dict[str, Any] = {"s": 12, "linewidth": 0, "zorder": 2, "label": "beaten by a brighter code"}
+    large: dict[str, Any] = {
+        "s": 46,
+        "edgecolor": "black",
+        "linewidth": 0.8,
+        "zorder": 4,
+        "label": "beaten by none found",
+    }
+    for points, style in ((beaten, small), (drawn, large)):
+        if points:
+            x, y = _place(front, points)
+            bar = axes.scatter(x, y, c=[colours.of(p) for p in points], **colours.style, **style)
+    others = published or {}
+    shown = {name: p for name, p in others.items() if p.noise_db <= limit_db}
+    if shown:
+        x, y = _place(front, list(shown.values()))
+        axes.scatter(x, y, marker="x", s=60, color=COLOURS[1], linewidth=1.8, zorder=5, label="published")
+    axes.set(xlabel="noise gain, dB, light-true (left is better)", ylabel=_height_label(front))
+    axes.grid(color="0.92", linewidth=0.6)
+    axes.margins(0.09, 0.09)
+    figure.colorbar(bar, ax=axes, label=colours.label, pad=0.02)
+    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=least_pt(_WIDTH_IN))
+    hidden = [f"{name} ({_db(p)})" for name, p in others.items() if name not in shown]
+    hidden += [f"{len(front.points) - len(drawn)} codes of the front"] if len(drawn) < len(front.points) else []
+    axes.set_title(plot_text(title) or _title(front), pad=18 if hidden else None)
+    if hidden:
+        text = f"noisier than shown: {', '.join(hidden)}"
+        axes.text(
+            1.0,
+            1.005,
+            text,
+            transform=axes.transAxes,
+            ha="right",
+            va="bottom",
+            fontsize=least_pt(_WIDTH_IN),
+            color="0.35",
+        )
+    named = [(_names(point, front), point, "0.1") for point in dict.fromkeys(knees(front).values()) if point in drawn]
+    _label(figure, axes, front, [*named, *((name, point, COLOURS[1]) for name, point in shown.items())], beaten)
+    return figure
+
+
+class _Colours:
+    """Colour by light, or by the minimum where light is the height."""
+
+    def __init__(self, label: str, low: float, high: float, *, by_light: bool) -> None:
+        self.label, self._by_light = label, by_light
+        self.style: dict[str, Any] = {"cmap": _COLOUR_MAP, "vmin": low, "vmax": high if high > low else low + 1}
+
+    def of(self, point: FrontPoint) -> float:
+        return float(point.open_chips if self._by_light else point.minimum)
+
+
+def _colours(front: Front) -> _Colours:
+    label = _UNITS[front.unit] if front.sampled else f"light, open chips of {front.problem.chips}"
+    values = [p.minimum if front.sampled else p.open_chips for p in front.points]
+    return _Colours(label, min(values), max(values), by_light=not front.sampled)
+
+
+def _lines(axes: Axes, front: Front, colours: _Colours) -> None:
+    from matplotlib import colormaps
+    from matplotlib.colors import Normalize
+
+    thin: dict[str, Any] = {"linewidth": 0.8, "zorder": 1}
+    if front.sampled:
+        axes.plot(*_place(front, front.points), color="0.6", **thin)
+        return
+    scale = Normalize(colours.style["vmin"], colours.style["vmax"], clip=True)
+    counts, lines = {p.open_chips for p in front.points}, list[Any]()
+    for count, curve in front.curves.items():
+        if count in counts and len(curve) > 1:
+            label = None if lines else "of equal light"
+            lines += axes.plot(*_place(front, curve), color=colormaps[_COLOUR_MAP](scale(count)), label=label, **thin)
+
+
+def _place(front: Front, points: Sequence[FrontPoint]) -> tuple[list[float], list[float]]:
+    heights = [float(p.open_chips) if front.sampled else p.minimum for p in points]
+    return [p.noise_db for p in points], heights
+
+
+def _height_label(front: Front) -> str:
+    what = f"light, open chips of {front.problem.chips}" if front.sampled else _UNITS[front.unit]
+    return f"{what} (up is better)"
+
+
+def _title(front: Front) -> str:
+    what = "noise and light" if front.sampled else "minimum, noise and light"
+    return f"{what[0].upper()}{what[1:]} that codes of {front.problem.chips} chips have together"
+
+
+def _names(point: FrontPoint, front: Front) -> str:
+    names = [name for name, knee in knees(front).items() if knee == point]
+    return f"{', '.join(names)}: {point.open_chips} open"
+
+
+def _db(point: FrontPoint) -> str:
+    return f"{point.noise_db:.0f} dB" if point.noise_db <= HOPELESS_DB else "has a zero"
+
+
+def _label(
+    figure: Figure,
+    axes: Axes,
+    front: Front,
+    labels: Sequence[tuple[str, FrontPoint, str]],
+    dots: Sequence[FrontPoint],
+) -> None:
+    """Write labels beside their points, each where it covers no point, no other label and as few lines as can be."""
+    figure.draw_without_rendering()
+    frame = axes.get_window_extent()
+    everything = [*front.points, *dots, *(point for _, point, _ in labels)]
+    taken = axes.transData.transform(np.column_stack(_place(front, everything)))
+    ways = [axes.transData.transform(line.get_xydata()) for line in axes.lines]
+    steps = np.linspace(0, 1, 24)[:, None]
+    along = [way[:-1, None] + (way[1:] - way[:-1])[:, None] * steps for way in ways if len(way) > 1]
+    crossed = np.concatenate([np.empty((0, 2)), *(points.reshape(-1, 2) for points in along)])
+    boxes: list[FloatArray] = []
+    for text, point, colour in labels:
+        (x,), (y,) = _place(front, [point])
+        note = axes.annotate(
+            text, (x, y), (0, 0), textcoords="offset points", fontsize=least_pt(_WIDTH_IN), color=colour, zorder=6,
+            ha="center", va="center", arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6},
+        )  # fmt: skip
+        size = note.get_window_extent()
+        half = np.array([size.width, size.height]) / 2 + _GAP_PX
+        at = axes.transData.transform((x, y))
+        best, fewest = np.zeros(2), np.inf
+        for shift in _shifts(half, figure.dpi):
+            box = np.array([at + shift - half, at + shift + half])
+            outside = (box[0] < frame.min).any() or (box[1] > frame.max).any()
+            hits = 1000 * outside + 3 * _within(box, taken) + 0.2 * _within(box, crossed)
+            leader = at + shift * np.linspace(0, 1, 12)[:, None]
+            near = np.hypot(*(leader[:, None] - taken[None]).transpose(2, 0, 1)).min(axis=0) < _NEAR_PX
+            hits += 2 * int((near & (np.hypot(*(taken - at).T) > _NEAR_PX)).sum())
+            hits += 100 * sum(bool(((box[0] <= other[1]) & (other[0] <= box[1])).all()) for other in boxes)
+            if hits < fewest:
+                best, fewest = shift, hits
+        boxes.append(np.array([at + best - half, at + best + half]))
+        note.set_position(tuple(best * 72 / figure.dpi))
+
+
+def _within(box: FloatArray, points: FloatArray) -> int:
+    return int(((box[0] <= points) & (points <= box[1])).all(axis=1).sum())
+
+
+def _shifts(half: FloatArray, dpi: float) -> list[FloatArray]:
+    """Return places of a label's middle relative to its point, px, nearest first."""
+    angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
+    return [
+        np.array([np.cos(angle), np.sin(angle)]) * (half + reach * dpi / 72 - _GAP_PX)
+        for reach in _REACH_PT
+        for angle in angles
+    ]

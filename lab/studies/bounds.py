@@ -1,0 +1,92 @@
+"""Bounds: what no code can exceed, by which argument, how long it takes, and how far the best code found stays below.
+
+    python -m lab.studies.bounds [--seconds 5] [--skip-curve-noise]
+
+min |P| in chips on the unit circle; min |H| times n along a motion, so that both count open chips; noise in dB,
+10 log10 mean 1/|H|^2, light-true. "found" anneals for each objective for so many seconds, one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from cep.search.annealing.anneal import anneal
+from cep.search.bounding.bounds import bound, relaxed_minimum
+from cep.search.bounding.relaxation import rounded_codes
+from cep.search.objective import Objective
+from cep.search.problem import SearchProblem
+from motdiff.motions import boracchi_foi
+from motdiff.trajectory import Trajectory
+
+CHIPS, OPEN = 52, (26, 26)
+
+
+def problems() -> dict[str, SearchProblem]:
+    curve = boracchi_foi(np.random.default_rng(0), max_length_px=60.0)
+    ramp = Trajectory.from_samples(np.stack([60 * np.linspace(0, 1, 50) ** 2, np.zeros(50)], axis=1))
+    along = SearchProblem.along
+    return {
+        "circle n=52 k=26": SearchProblem(chips=CHIPS, open_range=OPEN),
+        "circle n=32": SearchProblem(chips=32),
+        "circle n=12 k=6": SearchProblem(chips=12, open_range=(6, 6)),
+        "straight 60 px": along(Trajectory.straight(60.0), chips=CHIPS, open_range=OPEN),
+        "straight 30 px": along(Trajectory.straight(30.0), chips=CHIPS, open_range=OPEN),
+        "accelerated 60 px": along(ramp, chips=CHIPS, open_range=OPEN, direction="forward"),
+        "curve, one way": along(curve, chips=CHIPS, open_range=OPEN, direction="forward"),
+        "curve, both ways": along(curve, chips=CHIPS, open_range=OPEN, direction="unknown"),
+    }
+
+
+def row(name: str, problem: SearchProblem, seconds: float, *, noise: bool) -> None:
+    for goal in ("min-mtf", "noise") if noise else ("min-mtf",):
+        asked = replace(problem, objective=goal)
+        cells = []
+        for effort in ("quick", "sdp"):
+            began = time.perf_counter()
+            found = bound(asked, effort=effort)
+            took = time.perf_counter() - began
+            figure = found.noise if goal == "noise" else found.min_mtf * problem.chips
+            winner = found.method["noise" if goal == "noise" else "min_mtf"]
+            checked = all(proof.check() for proof in found.proofs)
+            cells.append(f"{figure:8.4f} {winner:17s}{took:6.2f} s{'' if checked else ' PROOF FAILS'}")
+        code = anneal(asked, rng=np.random.default_rng(0), steps=None, time_s=seconds).code
+        metrics = problem.measure(code, budget=0)
+        if not problem.scenarios:
+            reached = Objective(asked, oversampling=64, dtype=np.float64).exact_cost(code)
+            reached = reached if goal == "noise" else 10 ** (-reached / 20) * problem.chips
+        else:
+            reached = metrics.noise_gain_db if goal == "noise" else metrics.min_mtf * problem.chips
+        print(f"{name:18s} {goal:8s} {cells[0]}  {cells[1]}  found {reached:8.4f}", flush=True)
+
+
+def rounding(name: str, problem: SearchProblem) -> None:
+    """Median sampled cost of rounded codes against random ones."""
+    relaxation = relaxed_minimum(problem, OPEN[0])
+    judge = Objective(problem, oversampling=8, dtype=np.float64)
+    rng = np.random.default_rng(0)
+    ours = judge.cost_of(rounded_codes(relaxation, 2000, rng=rng))
+    chance = judge.cost_of(problem.random_codes(2000, rng=rng))
+    print(
+        f"{name:18s} -20 log10 min |H|: rounded median {np.median(ours):6.2f} best {ours.min():6.2f} dB, "
+        f"random {np.median(chance):6.2f} and {chance.min():6.2f} dB"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--skip-curve-noise", action="store_true", help="the longest relaxations, up to a minute each")
+    chosen = parser.parse_args()
+    for name, problem in problems().items():
+        row(name, problem, chosen.seconds, noise=not (chosen.skip_curve_noise and name.startswith("curve")))
+    print("\nRandomised rounding, 2000 codes each")
+    for name in ("straight 30 px", "accelerated 60 px", "curve, one way", "curve, both ways"):
+        rounding(name, problems()[name])
+
+
+if __name__ == "__main__":
+    main()

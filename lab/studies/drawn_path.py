@@ -1,0 +1,124 @@
+"""Paths that the network draws, followed as they are drawn or traced anew from the kernels that they become.
+
+    python -m lab.studies.drawn_path [--photos FOLDER] [--count 16] [--seed 0]
+
+For simulated photos with real borders and 1 % noise: the network's one-step map and dwell, told of the quick classical
+searches. "kernel": the drawn PSF is traced. "map": the map is traced and given the drawn PSF's dwell. "refined kernel"
+and "refined map": the same with the PSF refined on the photo, which is what ``cep calibrate`` does with the kernel.
+Figures: MNC of the trajectory's PSF; the path's distance from the true one in order, px, the better way round; and how
+much worse a code of 32 chips searched along the trajectory is than one searched along the true one, both for either
+direction, dB of the expected error along the true one.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import torch
+from lab.studies.inputs import photos, smooth_trace
+
+from cep.optics.code import ShutterCode
+from cep.search.problem import SearchProblem
+from cep.search.recipe import search_code
+from motdiff.estimators.kernel_score import Judge
+from motdiff.estimators.motdiff.drawing import quick_search
+from motdiff.estimators.multiscale import without_faint_parts
+from motdiff.estimators.pmp.estimator import refined
+from motdiff.metrics import mnc_subpixel, ordered_distance_px
+from motdiff.motions import boracchi_foi, random_gyro_motion
+from motdiff.network.diffusion import cosine_schedule
+from motdiff.network.physics_maps import physics_maps
+from motdiff.network.sampling import sample_paths
+from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
+from motdiff.simulate import photograph
+from motdiff.tracing import fit_dwell, simplest_trajectory, trace_map
+from motdiff.trajectory import Trajectory
+from motdiff.weights import load_network
+
+SIDE_PX = 256 + PSF_PX - 1
+WAYS = ("kernel", "map", "refined kernel", "refined map")
+
+
+def motions(rng: np.random.Generator) -> dict[str, Trajectory]:
+    trace = smooth_trace(rng, duration_s=30.0, rate_hz=200.0)
+    return {
+        "walk of 60 px": boracchi_foi(rng),
+        "walk of 20 px": boracchi_foi(rng, max_length_px=20.0),
+        "shake": random_gyro_motion(trace, rng, exposure_s=float(rng.uniform(0.05, 0.3)), extent_px=20.0),
+    }
+
+
+def trajectories(network: torch.nn.Module, photo: np.ndarray, seed: int) -> dict[str, Trajectory]:
+    crops = photo[None]
+    sigma = Judge(crops).sigma
+    light = torch.from_numpy(crops.astype(np.float32))[None]
+    searched = quick_search(crops, sigma=sigma)
+    with torch.no_grad():
+        maps = physics_maps(light, torch.from_numpy(searched.astype(np.float32))[None])
+        drawn = sample_paths(
+            network, network.condition(None, maps), count=1, schedule=cosine_schedule(), steps=1,
+            generator=torch.Generator().manual_seed(seed),
+        )  # fmt: skip
+    psf = drawn.psfs()[0, 0].double().numpy()
+    odd = without_faint_light(in_frame(psf[None], PSF_PX - 1), below=0.02)[0]
+    sharpened = refined(crops, odd / odd.sum(), sigma)
+    chances = drawn.path[0, 0].numpy()
+    path = trace_map(chances > min(0.5, 0.5 * float(chances.max())))  # a lost guess is sure of no pixel
+    return {
+        "kernel": simplest_trajectory(without_faint_parts(psf)),
+        "map": fit_dwell(path, psf),
+        "refined kernel": simplest_trajectory(without_faint_parts(sharpened)),
+        "refined map": fit_dwell(path, sharpened),
+    }
+
+
+def searched(path: Trajectory, seed: int) -> ShutterCode:
+    problem = SearchProblem.along(path, chips=32, open_range=(10, 22), objective="mse", direction="unknown")
+    return search_code(problem, rng=np.random.default_rng(seed), steps=20_000, time_s=600.0).code
+
+
+def error_db(path: Trajectory, code: ShutterCode) -> float:
+    problem = SearchProblem.along(path, chips=32, objective="mse", direction="unknown")
+    return problem.measure(code, budget=0).mse_db
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--photos", type=Path)
+    parser.add_argument("--count", type=int, default=16)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    scenes = [light for _, light in photos(given.photos) if min(light.shape[:2]) >= SIDE_PX]
+    network = load_network()
+    found: dict[str, dict[str, list[tuple[float, float, float]]]] = {}
+    for number in range(given.count):
+        rng = np.random.default_rng([given.seed, number])
+        scene = scenes[number % len(scenes)]
+        scene = scene.mean(axis=2) if scene.ndim == 3 else scene
+        top, left = (int(rng.integers(side - SIDE_PX + 1)) for side in scene.shape)
+        scene = scene[top : top + SIDE_PX, left : left + SIDE_PX]
+        for kind, truth in motions(rng).items():
+            photo = photograph(scene, truth.psf(), rng=rng)
+            least_db = error_db(truth, searched(truth, number))
+            for way, path in trajectories(network, photo, number).items():
+                psf = in_frame(path.psf(max(PSF_PX, path.frame_size())), PSF_PX)
+                figures = (
+                    mnc_subpixel(psf, truth.psf()),
+                    ordered_distance_px(path.xy, truth.xy),
+                    error_db(truth, searched(path, number)) - least_db,
+                )
+                found.setdefault(kind, {}).setdefault(way, []).append(figures)
+    print("| motions | way | photos | MNC | in order, px | code worse by, dB |")
+    print("|---|---|---|---|---|---|")
+    for kind, by_way in found.items():
+        for way in WAYS:
+            table = np.array(by_way[way])
+            error = table.std(axis=0) / len(table) ** 0.5
+            cells = " | ".join(f"{m:.3f} ({e:.3f})" for m, e in zip(table.mean(axis=0), error, strict=True))
+            print(f"| {kind} | {way} | {len(table)} | {cells} |")
+
+
+if __name__ == "__main__":
+    main()

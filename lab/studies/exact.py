@@ -1,0 +1,105 @@
+"""Proven optima on the unit circle, as the tables of docs/optima.md, and the speed of the scan.
+
+    python -m lab.studies.exact [--most 36] [--most-by-open 20] [--threads 1]
+
+Minima are proven to a millionth. "Codes" are all that a proof accounts for, up to a shift in time; the scan takes up
+mirror images once. Seconds are of the processor, all threads together, with compiling done before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from cep.search.exhaustive.block_proof import judge_block, plan_blocks
+from cep.search.exhaustive.exact import ExactResult, exact
+from cep.search.problem import SearchProblem
+
+
+def timed(problem: SearchProblem, threads: int) -> tuple[ExactResult, float]:
+    began = time.process_time()
+    found = exact(problem, threads=threads)
+    return found, time.process_time() - began
+
+
+def free(most: int, threads: int) -> None:
+    print("| n | largest min &#124;P&#124; | k | length | code | codes | cpu s |\n|--:|--:|--:|--:|:--|--:|--:|")
+    for chips in range(8, most + 1):
+        found, seconds = timed(SearchProblem(chips=chips), threads)
+        core, codes = found.code.bits.strip("0"), sum(entry.codes for entry in found.proof.lengths)
+        row = (
+            chips,
+            f"{found.proof.upper:.6f}",
+            found.code.open_chips,
+            len(core),
+            f"`{core}`",
+            f"{codes:.3g}",
+            f"{seconds:.2f}",
+        )
+        print("| " + " | ".join(str(cell) for cell in row) + " |", flush=True)
+
+
+def by_open(most: int, threads: int) -> None:
+    print("\n| n | " + " | ".join(f"k={opened}" for opened in range(3, most + 1)) + " |")
+    print("|--:|" + "--:|" * (most - 2))
+    codes: dict[int, str] = {}
+    for chips in range(8, most + 1):
+        cells = [""] * (most - 2)
+        for opened in range(3, chips + 1):
+            found, _ = timed(SearchProblem(chips=chips, open_range=(opened, opened)), threads)
+            cells[opened - 3] = f"{found.proof.upper:.4f}"
+            codes[opened] = found.code.bits.strip("0")
+        print(f"| {chips} | " + " | ".join(cells) + " |", flush=True)
+    print(f"\n| k | best code of at most {most} chips |\n|--:|:--|")
+    for opened, bits in sorted(codes.items()):
+        print(f"| {opened} | `{bits}` |")
+
+
+def speed(threads: int) -> None:
+    for chips in (28, 32, 36):
+        found, seconds = timed(SearchProblem(chips=chips), threads)
+        judged = sum(entry.judged for entry in found.proof.lengths)
+        print(
+            f"n = {chips}: {found.seconds:.2f} s, {seconds:.2f} cpu s with {threads} thread(s), "
+            f"{judged / seconds / 1e9:.2f} G codes a cpu second (each mirror pair counted once)"
+        )
+
+
+def compare(chips: int) -> None:
+    """Print processor seconds of the scan with bit tables and of the folded one, both with the optimum as bound."""
+    problem = SearchProblem(chips=chips)
+    known, seconds = timed(problem, 1)
+    plan = plan_blocks(problem)
+    records = [
+        judge_block(plan.chips, plan.fewest, plan.most, block.first, block.until, known.proof.lower)
+        for block in plan.blocks
+    ]
+    assert sum(record["codes"] for record in records) == plan.codes
+    assert known.code.bits.strip("0") in " ".join(str(record["survivors"]) for record in records)
+    folded = sum(float(record["seconds"]) for record in records)
+    print(f"n = {chips}: bit tables {seconds:.2f} cpu s, folds {folded:.2f} cpu s", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--most", type=int, default=36, help="chips of the last row, free open count")
+    parser.add_argument(
+        "--most-by-open", type=int, default=20, help="chips of the last row, per open count; 0 for none"
+    )
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--compare", type=int, nargs="+", default=(), help="chips: only compare the two scans")
+    args = parser.parse_args()
+    exact(SearchProblem(chips=20), threads=1)
+    if args.compare:
+        judge_block(12, 1, 12, 0, 25, 1.0)
+        for chips in args.compare:
+            compare(chips)
+        return
+    speed(args.threads)
+    free(args.most, args.threads)
+    if args.most_by_open:
+        by_open(args.most_by_open, args.threads)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""The AVR firmware on the emulated Uno: time to load and verify, latency of the trigger input, error of the edges.
+
+    python -m lab.studies.hardware [--loads 200] [--triggers 400] [--codes 60]
+
+The Uno runs in real time for the first, since the line of 115200 baud is what takes it; the others count its cycles.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import statistics
+import time
+
+from hw.cxp.protocol import State
+from hw.drivers.cxp import Controller
+from hw.emulation.build import EmulationError, build_board
+from hw.emulation.uno import CLOCK_HZ, EmulatedUno
+from hw.program import Program
+
+RASKAR = "1010000111000001010000110011110111010111001001100111"
+CYCLE_NS = 1e9 / CLOCK_HZ
+
+
+def load_times_s(loads: int) -> list[float]:
+    program = Program.from_bits(RASKAR, chip_ns=200_000)
+    times = []
+    with EmulatedUno() as uno, Controller.open(uno.port) as controller:
+        for _ in range(loads):
+            began = time.perf_counter()
+            controller.load(program)
+            controller.verify(program)
+            times.append(time.perf_counter() - began)
+    return sorted(times)
+
+
+def trigger_latencies(triggers: int) -> list[int]:
+    """Clock cycles from an edge on D2 to the opening of the first chip."""
+    program = Program.from_bits("1", chip_ns=50_000)
+    with EmulatedUno(speed=0, noise_seed=1) as uno, Controller.open(uno.port) as controller:
+        controller.load(program)
+        for _ in range(triggers):
+            controller.arm(lease_ms=65_535)
+            uno.trigger()
+            while controller.status().state is not State.DONE:
+                pass
+        opened = [cycle for cycle, level in uno.edges() if level]
+        given = [cycle for cycle, level in uno.edges("trigger") if level]
+    return sorted(after - before for before, after in zip(given, opened, strict=True))
+
+
+def edge_errors(codes: int) -> tuple[list[int], int]:
+    """Errors of all edges against the first of their code, clock cycles, and the number of chips played."""
+    rng = random.Random(1)
+    errors, chips = [], 0
+    with EmulatedUno(speed=0) as uno, Controller.open(uno.port) as controller:
+        for _ in range(codes):
+            bits = "1" + "".join(rng.choice("01") for _ in range(rng.randint(15, 511)))
+            program = Program.from_bits(bits, chip_ns=500 * round(100 * 20 ** rng.random()))
+            before = len(uno.edges())
+            controller.upload(program, arm=True)
+            controller.trigger()
+            controller.wait(timeout_s=60)
+            edges = uno.edges()[before:]
+            errors += [
+                round(cycle - edges[0][0] - at_ns / CYCLE_NS)
+                for (cycle, _), (at_ns, _) in zip(edges, program.edges, strict=True)
+            ]
+            chips += program.chips
+    return errors, chips
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--loads", type=int, default=200)
+    parser.add_argument("--triggers", type=int, default=400)
+    parser.add_argument("--codes", type=int, default=60)
+    wanted = parser.parse_args()
+    try:
+        build_board()
+    except EmulationError as error:
+        print(f"left out: {error}")
+        return
+    times = load_times_s(wanted.loads)
+    print(f"load and verify, 52 chips: median {statistics.median(times) * 1e3:.1f} ms, worst {times[-1] * 1e3:.1f} ms")
+    cycles = trigger_latencies(wanted.triggers)
+    told = [f"{name} {at * CYCLE_NS / 1e3:.2f} us" for name, at in
+            (("median", statistics.median(cycles)), ("least", cycles[0]), ("most", cycles[-1]))]  # fmt: skip
+    print(f"trigger input to first chip, {len(cycles)} triggers: {', '.join(told)}")
+    errors, chips = edge_errors(wanted.codes)
+    print(f"edges: {len(errors)} of {chips} chips are {min(errors):+d}..{max(errors):+d} cycles of 62.5 ns off")
+
+
+if __name__ == "__main__":
+    main()

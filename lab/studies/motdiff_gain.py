@@ -1,0 +1,348 @@
+"""What the two networks add to ``pmp`` in ``cep calibrate``: paired MNC, by motion, noise and detail.
+
+    python -m lab.studies.motdiff_gain rows FILE --prepared CONFIG [--draws 8]       # held-out photos of a run
+    python -m lab.studies.motdiff_gain rows FILE --data DIR --protocol NAME [--gyro RECORDING]
+    python -m lab.studies.motdiff_gain table FILE...
+
+Each photo is estimated by ``pmp``, by ``motdiff``, and by two others, which each lack one of its networks. ``pmp+`` is
+``pmp`` with the refinement and the correction of ``motdiff``: all of it but the diffusion network. ``uncorrected`` is
+``motdiff`` without the correction. A search that several need is run once, and its time counts for each. CONFIG is a
+run's TOML file with prepared samples; there the diffusion network alone is measured too. DIR and NAME are those of
+``python -m lab bench blind``. One thread; a row is appended as soon as it is done, and an interrupted bench goes on where it
+stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import torch
+from lab.studies.inputs import kept_rows
+
+from lab.bench.blind.cases import make_case
+from lab.bench.blind.protocol import Protocol
+from lab.bench.blind.run import blind_plan
+from lab.bench.statistics import mean_interval
+from lab.evaluation.draws import measure_draws
+from lab.evaluation.sets import levin_photo
+from motdiff.crops import luminance
+from motdiff.estimators.base import Estimator, FoundKernels
+from motdiff.estimators.kernel_score import distinct, noise_sigma, rank_kernels, shared_sigma
+from motdiff.estimators.motdiff import MotDiffEstimator
+from motdiff.estimators.motdiff.correcting import corrected_choice, corrected_kernel
+from motdiff.estimators.motdiff.drawing import draw_psfs
+from motdiff.estimators.pmp import PmpEstimator
+from motdiff.estimators.pmp.estimator import refined
+from motdiff.files.gyro_tables import read_gyro
+from motdiff.metrics import mnc_matrix, mnc_subpixel
+from motdiff.network import MotDiffNetwork
+from motdiff.network.correction import CorrectionNetwork
+from motdiff.network.sampling import psfs_of_maps
+from motdiff.threads import one_thread, side_by_side
+from motdiff.training.config import read_config
+from motdiff.training.motion_bank import drawn_kinds
+from motdiff.training.prepared import read_shards
+from motdiff.weights import load_network
+from motdiff.weights.correction import load_correction
+
+FloatArray = np.ndarray
+
+METHODS = ("pmp", "pmp+", "uncorrected", "motdiff")
+_STEPS = (1, 10)
+_LAST_DRAWS = "ddim:10, corrected"
+_REFINED = 3  # as in MotDiffEstimator
+_NOISE = (0.003, 0.009)  # 0.01 of full scale is found as 0.0095 to 0.0105
+_CONFIDENCE = (0.7, 0.9)
+_LEAST_SCENES = 4  # fewer give no interval
+_CHANGED = 0.02  # a kernel that is better or worse by more counts as won or lost
+_KINDS = {
+    "boracchi_foi": "walks of full length",
+    "boracchi_foi_short": "shorter walks",
+    "gyro": "hand shake",
+    "straight": "straight or accelerated",
+    "quadratic": "straight or accelerated",
+    "real": "real",
+}
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A photo of a known motion: its name, kind of motion and scene, and the network's conditions where prepared."""
+
+    name: str
+    kind: str
+    scene: str
+    light: FloatArray
+    psf: FloatArray
+    conditions: FloatArray | None = None
+
+
+class PmpCorrected(PmpEstimator):
+    """PMP whose three likeliest different kernels are refined and judged again, and the best of these corrected."""
+
+    method = "pmp+"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._correction = load_correction()
+
+    def search(self, crops: FloatArray) -> FoundKernels:
+        """Run the starts on the crops (C, H, W), and refine the likeliest kernels."""
+        kernels = self.kernels(crops)
+        alike = mnc_matrix(kernels)
+        order = np.argsort(-rank_kernels(crops, kernels).probabilities)
+        chosen = distinct(alike, order[:1], order[1:], most=_REFINED)
+        sharpened = side_by_side([partial(refined, crops, kernels[i], shared_sigma(crops)) for i in chosen])
+        for i, kernel in zip(chosen, sharpened, strict=True):
+            kernels[i] = kernel
+        probabilities = rank_kernels(crops, kernels).probabilities
+        best = max(chosen, key=lambda i: probabilities[i])
+        return FoundKernels(tuple(kernels), probabilities, best, {})
+
+    def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:
+        """Correct the kernels as ``motdiff`` does."""
+        return corrected_choice(self._correction, crops, found, most=_REFINED)
+
+
+class Uncorrected(MotDiffEstimator):
+    """MoTDiff without the correction."""
+
+    method = "uncorrected"
+
+    def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:  # noqa: ARG002
+        """Leave the kernel as it is."""
+        return found
+
+
+class SharedSearch:
+    """PMP's search, run once for the crops of a photo whatever the number of estimators that need it.
+
+    Attributes
+    ----------
+    spared_s : float, seconds
+        Processor time that repeated searches would have taken.
+    """
+
+    def __init__(self, search: Callable[..., list[FloatArray]]) -> None:
+        self._search = search
+        self._found: dict[bytes, tuple[list[FloatArray], float]] = {}
+        self.spared_s = 0.0
+
+    def kernels(self, estimator: PmpEstimator, crops: FloatArray, **options: object) -> list[FloatArray]:
+        """Search as :meth:`motdiff.estimators.pmp.PmpEstimator.kernels`, or give what was found before."""
+        key = crops.tobytes()
+        if key in self._found:
+            self.spared_s += self._found[key][1]
+        else:
+            began_s = time.process_time()
+            found = self._search(estimator, crops, **options)
+            self._found[key] = found, time.process_time() - began_s
+        return list(self._found[key][0])
+
+    def forget(self) -> None:
+        """Forget the kernels, before another photo."""
+        self._found.clear()
+
+
+def prepared_photos(config_file: Path) -> Iterator[Photo]:
+    """Held-out samples of a run."""
+    config = read_config(config_file)
+    samples = read_shards(config.data.prepared_validation)
+    kinds = drawn_kinds(config.motions, count=len(samples), seed=config.optimiser.seed + 1)
+    truth = psfs_of_maps(samples.dwell[:, 0].float()).double().numpy()
+    for i, kind in enumerate(kinds):
+        light = samples.photos[i, 0].double().div(255).square().numpy()
+        yield Photo(f"{i:04d}", kind, f"{i:04d}", light, truth[i], samples.kernels[i].double().numpy())
+
+
+def protocol_photos(folder: Path, protocol: Protocol, recording: Path | None) -> Iterator[Photo]:
+    """Photos of a blind table, or Levin's."""
+    trace = None if recording is None else read_gyro(recording)
+    for cell in blind_plan(protocol, ["pmp"], folder=folder, trace=trace).cells:
+        method, scene, shake, _ = cell.name
+        if method != "pmp":
+            continue
+        simulated = "shot" in cell.arguments
+        if simulated:
+            case = make_case(*(cell.arguments[name] for name in ("photo", "motion", "shot")))
+        else:
+            case = levin_photo(cell.arguments["photo"])
+        kind = "real" if not simulated else "gyro" if protocol.motion.gyro else "boracchi_foi"
+        yield Photo(f"{scene}/{shake}", kind, scene, case.photo, case.psf)
+
+
+def estimators() -> dict[str, Estimator]:
+    """Make the methods."""
+    return dict(zip(METHODS, (PmpEstimator(), PmpCorrected(), Uncorrected(), MotDiffEstimator()), strict=True))
+
+
+def row_of(photo: Photo, methods: dict[str, Estimator], shared: SharedSearch) -> dict[str, object]:
+    """Estimate one photo by every method."""
+    grey = luminance(photo.light)
+    gradients = np.concatenate([np.diff(grey, axis=axis).ravel() for axis in (0, 1)])
+    sigma = noise_sigma(grey)
+    row: dict[str, object] = {"name": photo.name, "kind": photo.kind, "scene": photo.scene, "sigma": sigma}
+    row["detail"] = float(np.sqrt(max(np.mean(gradients**2) - 2 * sigma**2, 0.0)))
+    for name, estimator in methods.items():
+        shared.spared_s, began_s = 0.0, time.process_time()
+        found = estimator.estimate(photo.light)
+        cpu_s = time.process_time() - began_s + shared.spared_s
+        mnc = mnc_subpixel(found.psf, photo.psf)
+        row[name] = {"mnc": mnc, "confidence": found.confidence, "cpu_s": cpu_s, **_chosen(found.details)}
+    shared.forget()
+    return row
+
+
+def _chosen(details: object) -> dict[str, object]:
+    return {"chosen": details["chosen"]} if isinstance(details, dict) and "chosen" in details else {}
+
+
+def drawn(
+    network: MotDiffNetwork, correction: CorrectionNetwork, photo: Photo, count: int, number: int
+) -> dict[str, object]:
+    """Draws of the network alone, told of the kernels prepared with the photo, and the same corrected."""
+    figures: dict[str, object] = {}
+    crops, others = luminance(photo.light)[None], list(photo.conditions[:2])
+    for steps in _STEPS:
+        draws = draw_psfs(
+            network,
+            crops,
+            photo.conditions,
+            count=count,
+            steps=steps,
+            generator=torch.Generator().manual_seed(number),
+        )
+        better = [corrected_kernel(correction, crops, draw, others, sigma=shared_sigma(crops)) for draw in draws]
+        for name, kernels in ((f"ddim:{steps}", list(draws)), (f"ddim:{steps}, corrected", better)):
+            found = measure_draws(kernels, photo.psf)
+            mncs = [mnc_subpixel(kernel, photo.psf) for kernel in kernels]
+            figures[name] = {"mnc": mncs, "best": found.best, "alike": found.alike, "covered": found.covered}
+    return figures
+
+
+def write_rows(file: Path, photos: Iterable[Photo], draws: int) -> None:
+    """Append the rows that ``file`` lacks."""
+    there = {row["name"]: row for row in read_rows([file])} if file.exists() else {}
+    shared = SharedSearch(PmpEstimator.kernels)
+    # the methods compared share each photo's search; type: pmp's own class is changed, for this process alone
+    PmpEstimator.kernels = lambda *given, **options: shared.kernels(*given, **options)  # type: ignore[method-assign]
+    methods, network, correction = estimators(), load_network(), load_correction()
+    with torch.no_grad(), one_thread():
+        for number, photo in enumerate(photos):
+            known = there.get(photo.name, {})
+            missing = {name: estimator for name, estimator in methods.items() if name not in known}
+            draws_missing = photo.conditions is not None and draws > 1 and _LAST_DRAWS not in known
+            if not missing and not draws_missing:
+                continue
+            row = row_of(photo, missing, shared)
+            if draws_missing:
+                row |= drawn(network, correction, photo, draws, number)
+            with file.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(row) + "\n")
+
+
+def read_rows(files: Iterable[Path]) -> list[dict]:
+    """Rows of files; lines of one photo are one row."""
+    rows: dict[tuple[Path, str], dict] = {}
+    for file in files:
+        for row in kept_rows(file):
+            rows.setdefault((file, row["name"]), {}).update(row)
+    return list(rows.values())
+
+
+def groups(rows: list[dict]) -> Iterator[tuple[str, list[dict]]]:
+    """All rows, and those of each kind of motion, level of noise, third of detail, and confidence of ``pmp``."""
+    yield "all", rows
+    for kind in dict.fromkeys(_KINDS.values()):
+        yield kind, [row for row in rows if _KINDS[row["kind"]] == kind]
+    thirds = tuple(float(x) for x in np.quantile([row["detail"] for row in rows], (1 / 3, 2 / 3)).round(3))
+    levels = (
+        ("noise", _NOISE, lambda row: row["sigma"]),
+        ("detail", thirds, lambda row: row["detail"]),
+        ("confidence of pmp", _CONFIDENCE, lambda row: row["pmp"]["confidence"]),
+    )
+    for name, (low, high), value in levels:
+        yield f"{name} below {low:g}", [row for row in rows if value(row) < low]
+        yield f"{name} {low:g} to {high:g}", [row for row in rows if low <= value(row) < high]
+        yield f"{name} {high:g} or more", [row for row in rows if value(row) >= high]
+
+
+def difference(rows: list[dict], first: str, second: str) -> str:
+    """Mean paired difference with its 95 % interval, photos of one scene drawn together."""
+    less = [row[first]["mnc"] - row[second]["mnc"] for row in rows]
+    found = mean_interval(less, rng=np.random.default_rng(0), clusters=[row["scene"] for row in rows])
+    if found.clusters < _LEAST_SCENES or not np.isfinite(found.low):
+        return f"{found.mean:.3f}"
+    return f"{found.mean:.3f} [{found.low:.3f}, {found.high:.3f}]"
+
+
+def line(name: str, rows: list[dict]) -> str:
+    """Line of the table: means, paired differences, and the photos whose kernel became clearly better or worse."""
+    means = " | ".join(format(np.mean([row[method]["mnc"] for row in rows]), ".3f") for method in METHODS)
+    less = " | ".join(difference(rows, "motdiff", other) for other in METHODS[:-1])
+    change = np.array([row["motdiff"]["mnc"] - row["pmp"]["mnc"] for row in rows])
+    changed = f"{np.sum(change > _CHANGED)}, {np.sum(change < -_CHANGED)}"
+    return f"| {name} | {len(rows)} | {means} | {less} | {changed} |"
+
+
+def table(rows: list[dict]) -> Iterator[str]:
+    """Lines of the tables: sub-pixel MNC by group, and draws of the networks."""
+    whole = [row for row in rows if all(name in row for name in METHODS)]
+    if len(whole) < len(rows):
+        yield f"left out: {len(rows) - len(whole)} photos that lack a method\n"
+    if not whole:
+        return
+    others = " | ".join(f"less {name}" for name in METHODS[:-1])
+    yield f"| photos | n | {' | '.join(METHODS)} | {others} | won, lost |"
+    yield f"|---|{'---:|' * (len(METHODS) + 1)}{'---|' * (len(METHODS) - 1)}---:|"
+    for name, some in groups(whole):
+        if some:
+            yield line(name, some)
+    known = [row for row in rows if _LAST_DRAWS in row]
+    for name in [f"ddim:{steps}{ending}" for steps in _STEPS for ending in ("", ", corrected")] if known else ():
+        of = [row[name] for row in known]
+        one, best, alike, covered = (
+            np.mean([np.mean(figures[key]) for figures in of]) for key in ("mnc", "best", "alike", "covered")
+        )
+        yield (
+            f"\nDraws, {name}, {len(of)} photos: one draw {one:.3f}, "
+            f"best of {len(of[0]['mnc'])} {best:.3f}, two draws alike {alike:.3f}, truth among them {covered:.3f}"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["rows", "table"], nargs="?")
+    parser.add_argument("files", type=Path, nargs="*")
+    parser.add_argument("--prepared", type=Path, metavar="CONFIG")
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("--protocol", default="card-walks")
+    parser.add_argument("--gyro", type=Path)
+    parser.add_argument("--draws", type=int, default=8)
+    parser.add_argument("--count", type=int, help="the first photos alone")
+    options = parser.parse_args()
+    if options.what is None:
+        print("skipped: it needs photos, see --help")
+        return
+    if options.what == "table":
+        print("\n".join(table(read_rows(options.files))))
+        return
+    if len(options.files) != 1 or (options.prepared is None) == (options.data is None):
+        parser.error("rows: give one FILE, and either --prepared or --data")
+    if options.prepared is not None:
+        photos = prepared_photos(options.prepared)
+    else:
+        photos = protocol_photos(options.data, Protocol.load(options.protocol), options.gyro)
+    write_rows(options.files[0], islice(photos, options.count), options.draws)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""Codes of the search that lose to a row of their own comparison.
+
+    python -m lab.studies.own_table [--problems 14] [--steps 20000] [--seed 0]
+
+Random problems: walks, arcs and straight lines of 20 to 60 px, 16 to 64 chips, each objective, cameras of little and
+much read noise. ``lost`` is by how many dB the best row that keeps the problem's limits beats the returned code, by the
+problem's own objective; "free" counts rows outside the limits as well, such as a snapshot with fewer open chips.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from cep.optics.camera import Camera
+from cep.search.objective import Objective
+from cep.search.optimize import Search, search
+from cep.search.problem import OBJECTIVES, SearchProblem, open_range_of_duty
+from motdiff.motions import boracchi_foi
+from motdiff.trajectory import Trajectory
+
+
+def random_problem(rng: np.random.Generator) -> SearchProblem:
+    kind = rng.choice(["walk", "arc", "straight"])
+    length = float(rng.uniform(20, 60))
+    if kind == "walk":
+        path = boracchi_foi(rng, max_length_px=length)
+    elif kind == "arc":
+        angle = np.linspace(0, rng.uniform(0.5, 3.0), 40)
+        radius = length / angle[-1]
+        path = Trajectory.from_samples(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    else:
+        path = Trajectory.straight(length)
+    chips = int(rng.integers(16, 65))
+    low = float(rng.uniform(0.1, 0.5))
+    return SearchProblem.along(
+        path,
+        chips=chips,
+        objective=str(rng.choice(OBJECTIVES)),
+        open_range=open_range_of_duty(chips, low, min(1.0, low + 0.4)),
+        camera=Camera(photons_full_scale=float(10 ** rng.uniform(3, 5)), read_noise_e=float(10 ** rng.uniform(0.3, 2))),
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--problems", type=int, default=14)
+    parser.add_argument("--steps", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    rng = np.random.default_rng(given.seed)
+    print("chips  objective   code, dB   lost, dB  to                               lost free, dB  to")
+    losses = []
+    for index in range(given.problems):
+        problem = random_problem(rng)
+        found = search(problem, Search(steps=given.steps, seed=index), threads=1)
+        fine = Objective(problem, oversampling=64, dtype=np.float64)
+        own = fine.exact_cost(found.code)
+        costs = {row.name: fine.exact_cost(row.code) for row in found.baselines}
+        within = {row.name for row in found.baselines if problem.allows(row.code)}
+        kept = min(within, key=costs.__getitem__)
+        free = min(costs, key=costs.__getitem__)
+        losses.append((own - costs[kept], own - costs[free]))
+        print(
+            f"{problem.chips:5d}  {problem.objective!s:10s} {own:9.3f}  {losses[-1][0]:9.3f}  {kept:31s}  "
+            f"{losses[-1][1]:13.3f}  {free}",
+            flush=True,
+        )
+    table = np.array(losses)
+    lost, worst = (table > 1e-6).sum(axis=0), table.max(axis=0)
+    print(f"lost within the limits: {lost[0]} of {len(table)}, up to {worst[0]:.3f} dB")
+    print(f"lost to any row: {lost[1]} of {len(table)}, up to {worst[1]:.3f} dB")
+
+
+if __name__ == "__main__":
+    main()

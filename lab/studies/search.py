@@ -1,0 +1,182 @@
+"""The code search against the best codes known, on straight and curved motion; side by side, in one run.
+
+    python -m lab.studies.search [--only frontier|jeon|exact|speed|direction|long] [--seconds 60] [--seed 0]
+
+frontier   52 chips, 26 open: smallest |P| and noise of deconvolution (DC-normalised), and one code with both
+jeon       each length and light of Jeon's table: one code that is better on both figures
+exact      proven optima, and the codes counted per second
+speed      moves per second and core of the annealer on one curved path, against plain numpy
+direction  curved motion of unknown direction: noise gain of the worse direction, for no code, one-way and robust codes
+long       128 to 1024 chips, and 52 chips under the limits of a device
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from cep.codes.published import PUBLISHED
+from cep.optics.code import ShutterCode
+from cep.optics.mtf import chip_noise_db
+from cep.proofs.certify.minimum import min_chip
+from cep.proofs.measure import measure
+from cep.search.annealing.anneal import anneal
+from cep.search.exhaustive.exact import codes_to_count, exact
+from cep.search.limits import RunLimits
+from cep.search.objective import Objective
+from cep.search.problem import SearchProblem
+from lab.bench.codes import code_rows
+from motdiff.motions import boracchi_foi
+
+SHAKES = 8
+
+
+def figures(code: ShutterCode) -> tuple[float, float]:
+    """Smallest |P| in chips, and noise in dB, DC-normalised."""
+    return min_chip(code), chip_noise_db(code) + 20 * np.log10(code.open_chips)
+
+
+def search(problem: SearchProblem, seconds: float, seed: int) -> tuple[ShutterCode, float]:
+    started = time.perf_counter()
+    found = anneal(problem, rng=np.random.default_rng(seed), steps=None, time_s=seconds)
+    return found.code, time.perf_counter() - started
+
+
+def frontier(seconds: float, seed: int) -> None:
+    print("| 52 chips, 26 open | min P | noise, dB | s |\n|---|---|---|---|")
+    lowest, noise = figures(PUBLISHED["raskar-52"])
+    print(f"| raskar-52 (2006) | {lowest:.4f} | {noise:.2f} | - |")
+    circle = SearchProblem(chips=52, open_range=(26, 26))
+    for objective in ("min-mtf", "noise", (("min-mtf", 0.15), ("noise", 1.0))):
+        code, took = search(replace(circle, objective=objective), seconds, seed)
+        lowest, noise = figures(code)
+        print(f"| {objective}: {code.bits} | {lowest:.4f} | {noise:.2f} | {took:.0f} |", flush=True)
+
+
+def jeon(seconds: float, seed: int) -> None:
+    print("| code | open | its min P | its noise, dB | our min P | our noise, dB | better | s |")
+    print("|---|---|---|---|---|---|---|---|")
+    names = sorted((name for name in PUBLISHED if name.startswith("jeon")), key=lambda name: PUBLISHED[name].chips)
+    rows = code_rows([(name, PUBLISHED[name]) for name in names], time_s=seconds / 4, seed=seed)
+    for row in rows:
+        (a, c), (b, d) = row.minima, row.noise_db
+        print(
+            f"| {row.name} | {row.published.open_chips} | {a:.4f} | {b:.2f} | {c:.4f} | {d:.2f} "
+            f"| {'yes' if row.better else 'no'} | {row.seconds:.0f} |"
+        )
+    print(f"\nbetter on both: {sum(row.better for row in rows)} of {len(rows)}")
+
+
+def proven(seconds: float, seed: int) -> None:
+    del seconds, seed
+    print("| chips | min P, proven | open | codes | s | G codes/s |\n|---|---|---|---|---|---|")
+    exact(SearchProblem(chips=21))  # compiling
+    for chips in (20, 24, 28, 32, 36, 39):
+        problem = SearchProblem(chips=chips)
+        found = exact(problem)
+        count = codes_to_count(problem)
+        rate = count / found.seconds / 1e9
+        print(
+            f"| {chips} | {found.minimum.lower:.6f} | {found.code.open_chips} | {count:.3g} | {found.seconds:.2f} "
+            f"| {rate:.3g} |",
+            flush=True,
+        )
+    print("first code with min P > 2:")
+    first = SearchProblem(chips=39, open_range=(19, 19))
+    code, took = search(first, 15.0, 0)
+    print(f"annealing, 39 chips, 19 open: {min_chip(code):.6f} in {took:.0f} s, {code.bits}")
+
+
+def speed(seconds: float, seed: int) -> None:
+    del seconds
+    from cep.search.annealing.chains import Cooling, Crew
+    from cep.search.annealing.terms import lay_out
+
+    path = boracchi_foi(np.random.default_rng(seed))
+    problem = SearchProblem.along(path, chips=52, objective="noise", direction="forward")
+    coarse = Objective(problem, oversampling=8)
+    crew = Crew(problem, lay_out(coarse), np.arange(52), threads=1)
+    code = problem.random_codes(1, rng=np.random.default_rng(seed))[0].astype(np.int8)
+    columns = coarse.rows.shape[-1]
+    print(f"| {columns} frequencies, one core | moves/s |\n|---|---|")
+    for moves in (10_000, 1_000_000):
+        started, made = time.thread_time(), 0
+        best = code
+        for count, codes in crew._cooling(Cooling(code, 0.3, 0.1, moves, 1)):
+            made, best = made + count, codes[0]
+    print(f"| annealing | {made / (time.thread_time() - started):.3g} |")
+    started, made = time.thread_time(), 0
+    for count, _ in crew._cooling(Cooling(best, 0.05, 0.04, 1_000_000, 1)):
+        made += count
+    print(f"| annealing, cold, at a good code | {made / (time.thread_time() - started):.3g} |")
+    started = time.thread_time()
+    flips = np.repeat(best[None], 52, axis=0) ^ np.eye(52, dtype=np.int8)
+    for _ in range(20):
+        coarse.cost_of(flips)
+    print(f"| numpy, 52 flips at a time | {20 * 52 / (time.thread_time() - started):.3g} |")
+
+
+def direction(seconds: float, seed: int) -> None:
+    del seed
+    each = min(seconds, 10.0)
+    rows = []
+    for shake in range(SHAKES):
+        path = boracchi_foi(np.random.default_rng(shake))
+        problem = SearchProblem.along(path, chips=52, open_range=(1, 52), objective="noise", direction="unknown")
+        one_way = replace(problem, direction="forward")
+        forward, _ = search(one_way, each, shake)
+        robust, _ = search(problem, each, shake)
+        gains = [
+            [measure(way, code, budget=0) for way in (path, path.reversed())]
+            for code in (ShutterCode("1" * 52), forward, robust)
+        ]
+        line = [gains[0][0].noise_gain_db, gains[1][0].noise_gain_db, gains[1][1].noise_gain_db]
+        line.append(max(gain.noise_gain_db for gain in gains[2]))
+        line += [gains[1][0].dnf_db, max(gain.dnf_db for gain in gains[2])]
+        rows.append(line)
+        print(f"shake {shake}: " + "  ".join(f"{value:.2f}" for value in line), flush=True)
+    names = ("no code", "one-way", "one-way, reversed", "robust, worse way", "one-way, DNF", "robust, DNF")
+    print("| " + " | ".join(names) + " |\n|" + "---|" * len(names))
+    print("| " + " | ".join(f"{value:.2f}" for value in np.mean(rows, axis=0)) + " |")
+
+
+def long_codes(seconds: float, seed: int) -> None:
+    print("| chips | open | min P | noise, dB | s |\n|---|---|---|---|---|")
+    for chips in (128, 256, 512, 1024):
+        problem = SearchProblem(chips=chips, open_range=(chips // 2, chips // 2), objective="noise")
+        code, took = search(problem, seconds, seed)
+        lowest, noise = figures(code)
+        print(f"| {chips} | {code.open_chips} | {lowest:.4f} | {noise:.2f} | {took:.0f} |", flush=True)
+    problem = SearchProblem(chips=52, open_range=(20, 30), objective="noise", runs=RunLimits(min_open=2, min_closed=2))
+    code, took = search(problem, seconds / 2, seed)
+    lowest, noise = figures(code)
+    print(f"| 52, runs of 2 at least | {code.open_chips} | {lowest:.4f} | {noise:.2f} | {took:.0f} |")
+
+
+SECTIONS = {
+    "frontier": frontier,
+    "jeon": jeon,
+    "exact": proven,
+    "speed": speed,
+    "direction": direction,
+    "long": long_codes,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", choices=SECTIONS)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    for name, section in SECTIONS.items():
+        if options.only in (None, name):
+            print(f"\n## {name}\n")
+            section(options.seconds, options.seed)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,297 @@
+"""The studio, measured in a headless Chromium: paint, changes until shown, memory, a large photo, attacks requests.
+
+Times are from the hand's event until strip, MTFs, figures and the simulated photo of this state are on the page. The
+memory is the proportional share (PSS) of the server and all its processes: pages that they share count once.
+
+Run: python -m lab.studies.studio [--changes 60] [--requests 300]
+"""
+
+from __future__ import annotations
+
+import argparse
+import http.client
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
+STATES = {
+    "straight 40 px, 52 chips": "motion=straight:40:0",
+    "straight 40 px at 30 degrees, 52 chips": "motion=straight:40:30",
+    "hand shake, 52 chips": "motion=example:shake",
+    "random walk of 60 px, 52 chips": "motion=example:walk",
+    "straight 40 px, 128 chips": "motion=straight:40:0&code=" + "1011001110001011" * 8,
+}
+FLIPS = """async (count) => {
+  const body = document.body.dataset, chips = document.querySelectorAll("#strip button"), times = [];
+  const settled = () => body.picture === body.asked && body.photo === body.asked;
+  const frame = () => new Promise((done) => requestAnimationFrame(done));
+  for (let i = 0; i < count; i++) {
+    const begun = performance.now();
+    chips[(7 * i) % chips.length].click();
+    while (!settled()) await frame();
+    await frame();
+    times.push(performance.now() - begun);
+    await new Promise((done) => setTimeout(done, 60));
+  }
+  return times;
+}"""
+DRAGS = """async (count) => {
+  const body = document.body.dataset, range = document.getElementById("length-range"), times = [];
+  const frame = () => new Promise((done) => requestAnimationFrame(done));
+  for (let i = 0; i < count; i++) {
+    const begun = performance.now();
+    range.value = 20 + (i % 40);
+    range.dispatchEvent(new Event("input"));
+    while (!(body.picture === body.asked && body.photo === body.asked)) await frame();
+    await frame();
+    times.push(performance.now() - begun);
+    await new Promise((done) => setTimeout(done, 60));
+  }
+  return times;
+}"""
+
+
+SEARCH = """async () => {
+  const motion = { kind: "example", name: "shake" }, bits = "10".repeat(26);
+  const setting = { motion, bits, exposure: "1/30", camera: "aptina-mt9m031-8bit" };
+  const order = { page: JSON.parse(sessionStorage.getItem("studio-page")), kind: "search", steps: 1e9, setting };
+  const headers = { "Content-Type": "application/json" };
+  await fetch("/api/job", { method: "POST", headers, body: JSON.stringify(order) });
+}"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--changes", type=int, default=60)
+    parser.add_argument("--requests", type=int, default=300)
+    options = parser.parse_args()
+    command = [sys.executable, "-c", "from cep.commands.main import run; run()", "studio", "--no-browser", "--json"]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert server.stdout is not None
+    told = ""
+    while not told.rstrip().endswith("}"):
+        told += server.stdout.readline()
+    home = urlsplit(json.loads(told)["address"])
+    cookie = send(home.netloc, "GET", f"/?{home.query}", {}, [])[1]["set-cookie"].split(";")[0]  # the key works once
+    peak = Peak(server.pid)
+    print(f"{os.cpu_count()} cores; load before {os.getloadavg()[0]:.1f}: the machine is shared")
+    try:
+        in_browser(home.netloc, cookie, options.changes, peak)
+        refused(home.netloc, cookie, options.requests)
+    finally:
+        peak.stop()
+        server.send_signal(signal.SIGINT)
+        print(f"exit code {server.wait(20)}; load after {os.getloadavg()[0]:.1f}")
+
+
+def in_browser(netloc: str, cookie: str, changes: int, peak: Peak) -> None:
+    from playwright.sync_api import sync_playwright
+
+    address = f"http://{netloc}/"
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
+        context = browser.new_context(viewport={"width": 1440, "height": 1000})
+        name, _, value = cookie.partition("=")
+        context.add_cookies([{"name": name, "value": value, "url": address}])
+        page = context.new_page()
+        page.goto(address)
+        wait(page)
+        begun = time.perf_counter()
+        page.goto(address)
+        paint = page.evaluate("performance.getEntriesByName('first-contentful-paint')[0]?.startTime")
+        wait(page)
+        whole = time.perf_counter() - begun
+        print(f"page: first paint {paint or float('nan'):.0f} ms, all of its first state {1000 * whole:.0f} ms")
+        for name, state in STATES.items():
+            page.evaluate("state => { location.hash = state; }", state)
+            wait(page)
+            row(f"flip a chip: {name}", page, FLIPS, changes, peak.pid)
+        page.evaluate("() => { location.hash = 'motion=straight:40:0'; }")
+        wait(page)
+        row("drag the length of a straight motion", page, DRAGS, changes, peak.pid)
+        page.evaluate("() => { location.hash = 'motion=example:shake'; }")
+        wait(page)
+        page.evaluate(SEARCH)
+        time.sleep(4)
+        other = context.new_page()
+        other.goto(f"{address}#motion=example:shake")
+        wait(other)
+        row("flip a chip on a second page while the first one searches", other, FLIPS, changes, peak.pid)
+        running = page.locator("#stop").is_visible()
+        print(f"the search was {'still running' if running else 'over already'}; memory so far {peak.now():.0f} MB")
+        if running:
+            page.locator("#stop").click()
+        while page.locator("#search").is_hidden():
+            time.sleep(0.2)
+        print(f"memory at most {peak.most:.0f} MB, pictures and searches")
+        large_photo(page, peak)
+        browser.close()
+
+
+def large_photo(page: object, peak: Peak) -> None:
+    from skimage import data
+
+    from cep.files.images import encode_image
+    from motdiff.simulate import blur_valid, to_linear
+    from motdiff.trajectory import Trajectory
+
+    path = Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])
+    blurred = blur_valid(to_linear(data.astronaut() / 255), path.psf(33))[:480, :480]
+    photo = np.clip(np.tile(blurred, (9, 12, 1))[:4000, :5760], 0, 1)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "large.jpg"
+        file.write_bytes(encode_image(photo, ".jpg"))
+        peak.reset()
+        begun = time.perf_counter()
+        page.locator("#photo-file").set_input_files(file)  # type: ignore[attr-defined]
+        while "motion=path:" not in page.url:  # type: ignore[attr-defined]
+            time.sleep(0.1)
+            failed = page.locator(".error[data-for=photo]").inner_text()  # type: ignore[attr-defined]
+            assert not failed, failed
+        megapixels, seconds = photo.shape[0] * photo.shape[1] / 1e6, time.perf_counter() - begun
+        print(f"photo of {megapixels:.1f} MP: motion after {seconds:.1f} s, memory at most {peak.most:.0f} MB")
+
+
+def refused(netloc: str, cookie: str, count: int) -> None:
+    """Send hostile requests; each must be answered with 4xx, and nothing may be left behind."""
+    from hostile_requests import hostile
+
+    before, rng, codes = left(), np.random.default_rng(1), {}
+    for number in range(count):
+        method, path, changed, chunks = hostile(rng)
+        headers = {"host": netloc, "origin": f"http://{netloc}", "cookie": cookie}
+        headers |= {name: value for name, value in changed.items() if value is not None}
+        for name in [name for name, value in changed.items() if value is None]:
+            headers.pop(name)
+        half = method == "POST" and number % 5 == 0
+        status = send(netloc, method, path, headers, chunks, half=half)[0]
+        codes[status] = codes.get(status, 0) + 1
+    alive = send(netloc, "GET", "/", {"host": netloc, "cookie": cookie}, [])[0]
+    wrong = {status for status in codes if status is not None and not 400 <= status < 500}
+    print(f"{count} hostile requests: {dict(sorted(codes.items(), key=str))} (None: half an upload, broken off)")
+    print(f"answers other than 4xx: {wrong or 'none'}; files left: {left() - before or 'none'}; the page then: {alive}")
+
+
+def send(netloc: str, method: str, path: str, headers: dict[str, str], chunks: list[bytes], *, half: bool = False):
+    connection = http.client.HTTPConnection(netloc, timeout=20)
+    try:
+        connection.putrequest(
+            method, re.sub(r"[^!-~]", "x", path), skip_host="host" in headers, skip_accept_encoding=True
+        )
+        for name, value in headers.items():
+            connection.putheader(name, value.encode("latin-1", "replace"))
+        length = sum(map(len, chunks))
+        if chunks:
+            connection.putheader("content-length", str(length + (5_000 if half else 0)))
+        connection.endheaders()
+        for chunk in chunks:
+            connection.send(chunk)
+        if half and chunks:
+            return None, {}
+        answer = connection.getresponse()
+        answer.read()
+        return answer.status, {name.lower(): value for name, value in answer.getheaders()}
+    except (BrokenPipeError, ConnectionResetError):  # refused before all of it was sent
+        return 413, {}
+    finally:
+        connection.close()
+
+
+def left() -> set[str]:
+    """Files in the folders of running studios."""
+    folders = Path(tempfile.gettempdir()).glob("cep-studio-*")
+    return {str(file) for folder in folders for file in folder.rglob("*")}
+
+
+def wait(page: object) -> None:
+    ends = time.monotonic() + 120
+    names = "['picture', 'photo', 'verdict'].every((one) => document.body.dataset[one] === document.body.dataset.asked)"
+    while not page.evaluate(f"document.body.dataset.asked !== undefined && {names}"):  # type: ignore[attr-defined]
+        assert time.monotonic() < ends
+        time.sleep(0.01)
+
+
+def row(name: str, page: object, script: str, changes: int, server: int) -> None:
+    """Print the times of changes, and the processor time that each took: the server's, and the browser's."""
+    before = cpu_s(server)
+    median, high = np.percentile(page.evaluate(script, changes), [50, 95])  # type: ignore[attr-defined]
+    took = [1000 * (after - begun) / changes for begun, after in zip(before, cpu_s(server), strict=True)]
+    print(
+        f"{name}: median {median:.0f} ms, p95 {high:.0f} ms; processor {took[0]:.0f} ms in the server, "
+        f"{took[1]:.0f} ms in the browser; {changes} changes, load {os.getloadavg()[0]:.1f}",
+        flush=True,
+    )
+
+
+def cpu_s(server: int) -> tuple[float, float]:
+    """Processor seconds of the server itself, without its jobs, and of the browser with all its processes."""
+
+    def of(pid: int) -> float:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    ours = family(os.getpid())
+    servers = set(family(server))
+    return of(server), sum(of(pid) for pid in ours if pid not in servers and pid != os.getpid())
+
+
+def family(root: int) -> list[int]:
+    """List a process and all that it started."""
+    parents = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parents[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+        except (OSError, ValueError):
+            continue
+    found = [root]
+    for pid in found:
+        found += [child for child, parent in parents.items() if parent == pid]
+    return found
+
+
+class Peak:
+    """Largest proportional set size of a process and those that it started, MB."""
+
+    def __init__(self, pid: int) -> None:
+        self.pid, self.most, self._over = pid, 0.0, threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def now(self) -> float:
+        """Return what it is now."""
+        return sum(self._pss(pid) for pid in family(self.pid))
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self.most = 0.0
+
+    def stop(self) -> None:
+        """Stop watching."""
+        self._over.set()
+
+    def _watch(self) -> None:
+        while not self._over.wait(0.1):
+            self.most = max(self.most, self.now())
+
+    @staticmethod
+    def _pss(pid: int) -> float:
+        try:
+            text = Path(f"/proc/{pid}/smaps_rollup").read_text()
+        except OSError:
+            return 0.0
+        match = re.search(r"^Pss:\s+(\d+) kB", text, re.MULTILINE)
+        return int(match[1]) / 1024 if match else 0.0
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""Command line of the correction's training: ``python -m lab.trainings.correction``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from lab.trainings.command_line import run_command
+
+_EXAMPLES = """a training like that of the shipped weights; CONFIG is motdiff/configs/cpu_encoder.toml, its paths set:
+  python -m lab.trainings.correction prepare CONFIG -o kernels --shards 0:60
+  python -m lab.trainings.correction prepare CONFIG -o held_out --shards 0:8 --held-out
+  OMP_NUM_THREADS=1 python -m lab.trainings.correction train kernels -o first.safetensors --steps 1000
+  python -m lab.trainings.correction prepare CONFIG -o again --shards 0:60 --weights first.safetensors
+  OMP_NUM_THREADS=1 python -m lab.trainings.correction train kernels again -o correction.safetensors
+  python -m lab.trainings.correction evaluate held_out --weights correction.safetensors
+"""
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns its exit code (:func:`lab.trainings.command_line.run_command`)."""
+    parser = argparse.ArgumentParser(
+        prog="python -m lab.trainings.correction",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    prepare = commands.add_parser("prepare", help="simulate photos and search their kernels; about 3 s a photo")
+    prepare.add_argument("config", type=Path, help="TOML file of a run of MoTDiff (photos, motions, photography)")
+    prepare.add_argument("-o", "--out", type=Path, required=True, help="folder of the shards; existing ones are kept")
+    prepare.add_argument("--shards", default="0:10", metavar="FIRST:LAST[:STEP]", help="16 photos each")
+    prepare.add_argument("--held-out", action="store_true", help="of the photos held out for validation")
+    prepare.add_argument("--weights", type=Path, help="correct the kernels with these: samples of the second pass")
+    prepare.set_defaults(command=_prepare)
+    train = commands.add_parser("train", help="train the correction; Ctrl-C keeps the weights of the last two minutes")
+    train.add_argument("kernels", type=Path, nargs="+", help="folders of prepared kernels")
+    train.add_argument("-o", "--out", type=Path, required=True, help=".safetensors file")
+    train.add_argument("--steps", type=int, default=5000)
+    train.add_argument("--seed", type=int, default=0)
+    train.set_defaults(command=_train)
+    evaluate = commands.add_parser("evaluate", help="print the MNC of kernels before and after their correction")
+    evaluate.add_argument("kernels", type=Path, help="folder of prepared kernels of photos that no training has seen")
+    evaluate.add_argument("--weights", type=Path, help="the shipped ones when omitted")
+    evaluate.set_defaults(command=_evaluate)
+    return run_command(parser, arguments)
+
+
+def _prepare(given: argparse.Namespace) -> None:
+    import torch
+
+    from lab.trainings.correction.samples import prepare
+    from motdiff.training.prepared import read_source
+    from motdiff.training.shards import shard_range
+    from motdiff.weights.correction import load_correction
+
+    torch.set_num_threads(1)  # the arrays are small: more threads are slower
+    shards = shard_range(given.shards)
+    source = read_source(given.config, held_out=given.held_out)
+    prepare(
+        given.out,
+        scenes=source.scenes,
+        mix=source.mix,
+        photography=source.photography,
+        shards=shards,
+        seed=source.seed,
+        network=None if given.weights is None else load_correction(given.weights),
+        on_shard=lambda shard: print(f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True),
+    )
+
+
+def _train(given: argparse.Namespace) -> None:
+    from lab.trainings.correction.samples import read_kernels
+    from lab.trainings.correction.training import Settings, train
+
+    settings = Settings(steps=given.steps, seed=given.seed)
+    train(
+        read_kernels(*given.kernels), given.out, settings=settings, report=partial(print, file=sys.stderr, flush=True)
+    )
+
+
+def _evaluate(given: argparse.Namespace) -> None:
+    from lab.trainings.correction.samples import read_kernels
+    from lab.trainings.correction.training import corrected_mnc
+    from motdiff.weights.correction import CORRECTION_WEIGHTS, load_correction
+
+    kernels = read_kernels(given.kernels)
+    before, after = corrected_mnc(kernels, load_correction(given.weights or CORRECTION_WEIGHTS))
+    print(f"{len(kernels)} kernels: MNC {before:.3f} -> {after:.3f}")
+
+
+if __name__ == "__main__":
+    sys.exit(run())

@@ -1,0 +1,78 @@
+"""Process of its own in which SciPy reads a .mat file: see :mod:`motdiff.files.mat_files`, which starts it as a script.
+
+    python -P _mat_reader.py FILE MIB SECONDS NAME...
+
+Writes to stdout a line of JSON, ``{"sent": [name, ...], "found": [name, ...]}`` or ``{"error": text}``, and then the
+arrays that are sent, in NumPy's file format. It imports nothing but NumPy and SciPy.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+
+def _limit(most_mib: int, most_s: int) -> None:
+    """Let the system end this process where it takes too much memory or time."""
+    try:
+        import resource
+    except ImportError:  # Windows: the other process still waits only so long
+        return
+    own = Path("/proc/self/statm")
+    taken = int(own.read_text().split()[0]) * resource.getpagesize() if own.exists() else 2**30
+    for kind, most in (
+        (resource.RLIMIT_AS, taken + most_mib * 2**20),
+        (resource.RLIMIT_CPU, most_s),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        soft, hard = resource.getrlimit(kind)
+        bounds = [bound for bound in (most, soft, hard) if bound != resource.RLIM_INFINITY]
+        try:
+            resource.setrlimit(kind, (min(bounds), hard))
+        except (ValueError, OSError):  # macOS knows this limit and refuses to set it
+            continue
+
+
+def _read(path: str, names: list[str]) -> tuple[dict[str, Any], list[str]]:
+    """Arrays of those names; and, where there are none, the names of the file's other variables."""
+    from numpy import asarray
+    from scipy.io import loadmat, whosmat
+
+    with Path(path).open("rb") as stream:  # given a name, SciPy tries others when there is no such file
+        variables = loadmat(stream, variable_names=names)
+        arrays = {name: asarray(variables[name]) for name in names if name in variables}
+        stream.seek(0)
+        found = [] if arrays else [str(name) for name, *_ in whosmat(stream)]
+    for name, array in arrays.items():
+        if array.dtype.hasobject or array.dtype.fields is not None:
+            raise ValueError(f"variable {name} is a struct, a cell array or sparse, wanted a full array of numbers")
+    return arrays, found
+
+
+def _main(path: str, most_mib: str, most_s: str, *names: str) -> None:
+    import scipy.io  # noqa: F401 - before the limit on memory, which is on what the file takes
+    from numpy.lib.format import write_array
+
+    _limit(int(most_mib), int(most_s))
+    arrays: dict[str, Any] = {}
+    answer: dict[str, str | list[str]]
+    try:
+        arrays, found = _read(path, list(names))
+        answer = {"sent": list(arrays), "found": found}
+    except MemoryError:
+        answer = {"error": f"it needs more than {most_mib} MiB of memory"}
+    except NotImplementedError:  # of all that SciPy does not read only this is in use
+        answer = {"error": "version 7.3 is not read, save it with MATLAB's option -v7"}
+    except Exception as error:
+        answer = {"error": str(error) or type(error).__name__}
+    pipe = sys.stdout.buffer
+    pipe.write(json.dumps(answer).encode() + b"\n")
+    for array in arrays.values():
+        write_array(SimpleNamespace(write=pipe.write), array, allow_pickle=False)  # by itself it would seek in the pipe
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])

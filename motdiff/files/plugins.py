@@ -1,0 +1,56 @@
+"""Objects of the user's own, named as ``module:name``."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from motdiff.files.inputs import one_line
+
+__all__ = ["is_reference", "load_object"]
+
+
+def is_reference(text: str) -> bool:
+    """Whether a text has the form ``module:name``, as ``mymodule:MyEstimator`` or ``package.module:name``."""
+    module, colon, name = text.partition(":")
+    return bool(colon) and name.isidentifier() and all(part.isidentifier() for part in module.split("."))
+
+
+def load_object(reference: str) -> Any:
+    """Import an object by its reference; modules in the current folder are found too, from then on.
+
+    Parameters
+    ----------
+    reference : str
+        ``module:name``.
+
+    Raises
+    ------
+    ValueError
+        If the text is no reference, the module cannot be imported, or has no such object; the line says which.
+
+    Examples
+    --------
+    >>> load_object("math:tau")
+    6.283185307179586
+    >>> load_object("math:no_such_thing")
+    Traceback (most recent call last):
+    ValueError: math:no_such_thing: the module math has no 'no_such_thing'
+    """
+    if not is_reference(reference):
+        raise ValueError(f"{reference[:80]!r}: must be module:name, as mymodule:MyEstimator")
+    module, _, name = reference.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:  # it stays: what is made of the object may import more, or be sent to a worker
+        sys.path.append(here)
+    try:
+        found = import_module(module)
+    except Exception as error:  # whatever the user's module raises
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        raise ValueError(f"{reference}: importing {module} failed ({reason})") from None
+    try:
+        return getattr(found, name)
+    except AttributeError:
+        raise ValueError(f"{reference}: the module {module} has no {name!r}") from None

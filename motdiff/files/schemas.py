@@ -1,0 +1,212 @@
+"""JSON Schemas of the files: read from the package, and what readers refuse a document by.
+
+The schemas are those that are published, of JSON Schema 2020-12. Of its keywords the ones in :data:`KEYWORDS` are used.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from motdiff.files.inputs import one_line
+
+__all__ = ["KEYWORDS", "fault", "load_schema"]
+
+_NOTES = {"$schema", "$id", "title", "description", "default", "$defs"}
+KEYWORDS = _NOTES | {
+    "type", "const", "enum", "required", "properties", "additionalProperties", "items", "minItems", "pattern",
+    "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "anyOf",
+}  # fmt: skip
+"""Keywords that :func:`fault` knows; others would be passed over, so :func:`load_schema` refuses them."""
+
+_LARGEST = 1e300
+"""Limits from here on keep numbers within a double, and are named only where a number exceeds them."""
+
+_END = re.compile(r"\$$")  # in Python also before a last line feed, unlike in JSON Schema
+
+_NAMES = {
+    "object": "an object", "array": "a list", "string": "a string", "number": "a number", "integer": "a whole number",
+    "boolean": "true or false", "null": "null",
+}  # fmt: skip
+
+
+@cache
+def load_schema(package: str, name: str) -> Mapping[str, Any]:
+    """Load ``schemas/NAME.json`` of a package.
+
+    Raises
+    ------
+    ValueError
+        If it has a keyword that readers would pass over.
+    """
+    text = (resources.files(package) / "schemas" / f"{name}.json").read_text(encoding="utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    for part in _parts(schema):
+        if unknown := part.keys() - KEYWORDS:
+            raise ValueError(f"{name}.json: unknown keyword {min(unknown)!r}")
+    return schema
+
+
+def fault(value: object, schema: Mapping[str, Any], *, where: str = "") -> str | None:
+    """Say the first thing that is wrong with a document; None where it is valid.
+
+    Parameters
+    ----------
+    value : object
+        As read from JSON.
+    schema : mapping
+    where : str
+        Name of the value.
+
+    Returns
+    -------
+    str or None
+        One line, as ``weight: must be a number within 0..1, got 3``.
+
+    Examples
+    --------
+    >>> fault({"bits": 17}, {"properties": {"bits": {"type": "integer", "minimum": 1, "maximum": 16}}})
+    'bits: must be a whole number within 1..16, got 17'
+    """
+    if "anyOf" in schema and all(fault(value, one, where=where) is not None for one in schema["anyOf"]):
+        return _refusal(value, schema, where)
+    if not _holds(value, schema):
+        return _refusal(value, schema, where)
+    if isinstance(value, dict):
+        return _object_fault(value, schema, where)
+    if isinstance(value, list):
+        return _list_fault(value, schema, where)
+    return None
+
+
+def _object_fault(value: Mapping[str, Any], schema: Mapping[str, Any], where: str) -> str | None:
+    inside = f"{where}." if where else ""
+    for name in schema.get("required", ()):
+        if name not in value:
+            return f'field "{inside}{name}" is missing'
+    known: Mapping[str, Any] = schema.get("properties", {})
+    others = schema.get("additionalProperties", True)
+    for name, item in value.items():
+        if name in known:
+            wrong = fault(item, known[name], where=f"{inside}{name}")
+        elif others is False:
+            return f"unknown field {one_line(repr(inside + name))}; there are {', '.join(sorted(known))}"
+        else:
+            wrong = None if others is True else fault(item, others, where=f"{inside}{one_line(name)}")
+        if wrong is not None:
+            return wrong
+    return None
+
+
+def _list_fault(value: list[Any], schema: Mapping[str, Any], where: str) -> str | None:
+    items = schema.get("items")
+    if items is None:
+        return None
+    if items.get("type") in ("number", "integer"):  # may be a hundred thousand of them
+        wrong_at = next((index for index, item in enumerate(value) if not _holds(item, items)), None)
+        return None if wrong_at is None else _refusal(value[wrong_at], items, f"{where}[{wrong_at}]")
+    found = (fault(item, items, where=f"{where}[{index}]") for index, item in enumerate(value))
+    return next((wrong for wrong in found if wrong is not None), None)
+
+
+def _holds(value: object, schema: Mapping[str, Any]) -> bool:
+    """Whether a value itself is as the schema says, whatever is inside."""
+    types = schema.get("type", ())
+    if types and not any(_is(value, kind) for kind in ([types] if isinstance(types, str) else types)):
+        return False
+    if "const" in schema and not _same(value, schema["const"]):
+        return False
+    if "enum" in schema and not any(_same(value, one) for one in schema["enum"]):
+        return False
+    if isinstance(value, str):
+        return "pattern" not in schema or re.search(_END.sub(r"\\Z", schema["pattern"]), value) is not None
+    if isinstance(value, list):
+        return len(value) >= int(schema.get("minItems", 0))
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return bool(
+            schema.get("minimum", -math.inf) <= value <= schema.get("maximum", math.inf)
+            and ("exclusiveMinimum" not in schema or value > schema["exclusiveMinimum"])
+            and ("exclusiveMaximum" not in schema or value < schema["exclusiveMaximum"])
+        )
+    return True
+
+
+def _is(value: object, kind: str) -> bool:
+    if kind in ("number", "integer"):
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return False
+        if isinstance(value, int):
+            return True
+        return math.isfinite(value) and (kind == "number" or value.is_integer())
+    kinds: dict[str, type | tuple[type, ...]] = {
+        "object": dict, "array": list, "string": str, "boolean": bool, "null": type(None),
+    }  # fmt: skip
+    return isinstance(value, kinds[kind])
+
+
+def _same(value: object, one: object) -> bool:
+    return value == one and isinstance(value, bool) == isinstance(one, bool)
+
+
+def _refusal(value: object, schema: Mapping[str, Any], where: str) -> str:
+    return f"{where or 'the document'}: must be {_wanted(value, schema)}, got {_shown(value)}"
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, list):
+        return f"a list of {len(value)}"
+    if isinstance(value, dict):
+        return "an object"
+    try:
+        return one_line(json.dumps(value, default=str))
+    except ValueError:  # Python writes no whole number of thousands of digits
+        return "a number of thousands of digits"
+
+
+def _wanted(value: object, schema: Mapping[str, Any]) -> str:
+    """Say what a schema asks for; its title where it has one."""
+    if "title" in schema:
+        return str(schema["title"])
+    if "const" in schema:
+        return json.dumps(schema["const"])
+    if "enum" in schema:
+        return " or ".join(json.dumps(one) for one in schema["enum"])
+    types = schema.get("type", [])
+    names = [_NAMES[kind] for kind in ([types] if isinstance(types, str) else types)]
+    if isinstance(value, float) and not math.isfinite(value):
+        names = [name.replace("a number", "a finite number") for name in names]
+    if "minItems" in schema:
+        names[0] = f"a list of at least {schema['minItems']}"
+    return " or ".join(names) + _range(value, schema)
+
+
+def _range(value: object, schema: Mapping[str, Any]) -> str:
+    low, high = schema.get("minimum"), schema.get("maximum")
+    above, below = schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum")
+    if low is not None and high is not None:
+        return f" within {low:g}..{high:g}"
+    limits = {" of {:g} or more": low, " above {:g}": above, " up to {:g}": high, " below {:g}": below}
+    too_large = isinstance(value, int | float) and value >= _LARGEST
+    return " and".join(
+        text.format(limit)
+        for text, limit in limits.items()
+        if limit is not None and (abs(limit) >= _LARGEST) == too_large
+    )
+
+
+def _parts(schema: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """Yield a schema and all schemas within it."""
+    yield schema
+    for name in ("properties", "$defs"):
+        for inner in schema.get(name, {}).values():
+            yield from _parts(inner)
+    for name in ("items", "additionalProperties"):
+        if isinstance(schema.get(name), dict):
+            yield from _parts(schema[name])
+    for inner in schema.get("anyOf", ()):
+        yield from _parts(inner)

@@ -1,0 +1,142 @@
+"""``trajectory.json``: a motion with its alternatives and where it came from (schema ``cep.trajectory/1``)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from motdiff.files.inputs import one_line, read_json
+from motdiff.files.outputs import write_text
+from motdiff.files.schemas import fault, load_schema
+from motdiff.trajectory import Direction, Trajectory, check_length
+
+__all__ = ["SCHEMA", "StoredMotion", "read_motion", "stated_uncertainty_px", "trajectory_text", "write_motion"]
+
+SCHEMA = "cep.trajectory/1"
+_FARTHEST_PX = 1e5
+_DENSE, _THINNED_PX = 2000, 1e-4
+
+
+@dataclass(frozen=True)
+class StoredMotion:
+    """Content of a trajectory file.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        The most likely motion.
+    weight : float
+        Its probability.
+    alternatives : tuple of (weight, Trajectory)
+        Other motions that explain the photo.
+    source : mapping
+        ``method``, ``image``, ``seed`` of the estimate.
+    """
+
+    trajectory: Trajectory
+    weight: float = 1.0
+    alternatives: tuple[tuple[float, Trajectory], ...] = ()
+    source: Mapping[str, object] = field(default_factory=dict)
+
+
+def write_motion(path: Path | str, motion: StoredMotion) -> None:
+    """Write ``motion`` as JSON, whole or not at all.
+
+    Parameters
+    ----------
+    path : path of the file
+    motion : StoredMotion
+    """
+    document = {
+        "schema": SCHEMA,
+        "units": "px",
+        "direction": motion.trajectory.direction,
+        **_samples(motion.trajectory),
+        "weight": motion.weight,
+        "alternatives": [{"weight": weight, **_samples(other)} for weight, other in motion.alternatives],
+        "source": dict(motion.source),
+    }
+    write_text(path, json.dumps(document, indent=1) + "\n")
+
+
+def trajectory_text(trajectory: Trajectory) -> str:
+    """Write a path as one line of JSON, which is a trajectory file by itself."""
+    about = {"schema": SCHEMA, "units": "px", "direction": trajectory.direction}
+    return json.dumps({**about, **_samples(trajectory)}, separators=(",", ":"))
+
+
+def read_motion(path: Path | str) -> StoredMotion:
+    """Read a trajectory file; paths of more than 2000 samples are thinned to within 1e-4 px at any time.
+
+    Parameters
+    ----------
+    path : path of the file
+
+    Raises
+    ------
+    ValueError
+        If the file is not JSON, not of this schema, or its samples are not a trajectory, or one longer than
+        :data:`motdiff.trajectory.LONGEST_PX`; the line names the file.
+    OSError
+        If the file cannot be read.
+    """
+    document = read_json(path)
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        found = document.get("schema") if isinstance(document, dict) else type(document).__name__
+        raise ValueError(f'{path}: wanted schema "{SCHEMA}", found {one_line(repr(found))}')
+    if (wrong := fault(document, load_schema("motdiff.files", "trajectory"))) is not None:
+        raise ValueError(f"{path}: {wrong}")
+    direction = cast(Direction, document.get("direction", "unknown"))
+    try:
+        alternatives = tuple(
+            (float(other.get("weight", 1.0)), _trajectory(other, direction))
+            for other in document.get("alternatives", [])
+        )
+        main = _trajectory(document, direction)
+        return StoredMotion(main, float(document.get("weight", 1.0)), alternatives, document.get("source", {}))
+    except ValueError as error:
+        raise ValueError(f"{path}: {one_line(error)}") from None
+
+
+def stated_uncertainty_px(motion: StoredMotion, path: Path | str) -> float | None:
+    """Return the expected error of a stored motion, px rms over time; None where its source does not say.
+
+    Parameters
+    ----------
+    motion : StoredMotion
+    path : path of its file, for the error
+
+    Raises
+    ------
+    ValueError
+        If it is no number above 0.
+    """
+    stated = motion.source.get("path_uncertainty_px")
+    if stated is None:
+        return None
+    if not isinstance(stated, int | float) or isinstance(stated, bool) or not 0 < stated < _FARTHEST_PX:
+        raise ValueError(
+            f"{path}: source path_uncertainty_px must be a number of px above 0, got {one_line(repr(stated))}"
+        )
+    return float(stated)
+
+
+def _samples(trajectory: Trajectory) -> dict[str, list[float]]:
+    return {"t": trajectory.t.tolist(), "x": trajectory.x.tolist(), "y": trajectory.y.tolist()}
+
+
+def _trajectory(fields: Mapping[str, Any], direction: Direction) -> Trajectory:
+    columns: list[Sequence[float]] = [fields["t"], fields["x"], fields["y"]]
+    if len({len(column) for column in columns}) != 1:
+        raise ValueError(f"t, x and y must be equally long, got {[len(column) for column in columns]}")
+    t, x, y = (np.array(column, dtype=np.float64) for column in columns)
+    exact = Trajectory.from_samples(np.column_stack([x, y]), t=t, direction=direction)
+    if t[0] != 0 or t[-1] != 1:
+        raise ValueError(f"t must run from 0 to 1, got {t[0]:g} to {t[-1]:g}")
+    check_length(exact)
+    return exact if len(t) <= _DENSE else exact.thinned(_THINNED_PX)

@@ -1,0 +1,257 @@
+"""The choice of an estimator, and the files of a calibration."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cep.calibration.calibrate import CALIBRATION_FILES, METHODS, estimate_motion, make_estimator, write_calibration
+from cep.files.files import read_psf
+from cep.files.images import read_image, write_image
+from cep.optics.code import ShutterCode
+from motdiff.estimators.base import MotionEstimate
+from motdiff.files.trajectories import read_motion
+from motdiff.gyro import GyroTrace
+from motdiff.trajectory import Trajectory
+
+TRACE = GyroTrace(np.linspace(0, 1, 101), np.tile([0.1, 0.2, 0.0], (101, 1)))
+GYRO = {"gyro": TRACE, "focal_px": 500.0, "start_s": 0.2, "exposure_s": 0.1}
+BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5]])
+
+
+def estimate(*paths):
+    weights = tuple(1 / len(paths) for _ in paths)
+    return MotionEstimate("pmp", paths, weights, paths[0].psf(max(64, paths[0].frame_size())), 0.5)
+
+
+@pytest.fixture
+def small_weights(tmp_path, monkeypatch):
+    """A tiny network that was never trained, in place of the one of the package."""
+    from motdiff.estimators.motdiff import estimator
+    from motdiff.network import NetworkConfig
+    from motdiff.training.config import DataConfig, TrainingConfig
+    from motdiff.training.loop import Trainer
+    from motdiff.weights import export_weights, load_network
+
+    network = NetworkConfig(
+        backbone="none",
+        physics_channels=8,
+        physics_width=8,
+        physics_depth=1,
+        physics_patch=2,
+        denoiser_width=8,
+        decoder_widths=(8, 4),
+        time_width=16,
+    )
+    Trainer(TrainingConfig(DataConfig(photos="photos"), network=network)).save(tmp_path / "checkpoint")
+    export_weights(tmp_path / "checkpoint", tmp_path / "tiny.safetensors")
+    monkeypatch.setattr(estimator, "load_network", lambda: load_network(tmp_path / "tiny.safetensors"))
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Options that the estimator of the diffusion model is made with; it finds a bent path."""
+    seen = []
+
+    def make(**options):
+        seen.append(options)
+        return SimpleNamespace(estimate=lambda photo: estimate(BENT))
+
+    monkeypatch.setattr("motdiff.estimators.motdiff.MotDiffEstimator", make)
+    return seen
+
+
+def test_each_method_makes_its_estimator(small_weights):
+    needs = {"reference": {"sharp": np.eye(40)}, "gyro": GYRO, "coded": {"codes": [ShutterCode("1011")]}}
+    for method in METHODS:
+        name = type(make_estimator(method, **needs.get(method, {}))).__name__
+        assert name.lower() == f"{method}estimator"
+    assert type(make_estimator()).__name__ == "MotDiffEstimator"
+
+
+def test_a_light_through_codes_has_an_estimator_of_its_own():
+    assert type(make_estimator("point", codes=[ShutterCode("1011")])).__name__ == "TrailEstimator"
+
+
+@pytest.mark.parametrize(
+    ("photos", "options", "words"),
+    [
+        ([0, 1], {"method": "motdiff"}, r"^codes: not valid with method='motdiff'"),
+        (np.array([0, 1]), {}, r"^photo: give the photos of several codes as a list or tuple, not as one array"),
+        ([0, 1], {"codes": [ShutterCode("1101", 2000), ShutterCode("1111", 1000)]}, r"^code 2: its chips last 1000 ns"),
+    ],
+)
+def test_photos_and_codes_that_do_not_belong_together_are_refused(photos, options, words):
+    noise = np.random.default_rng(0).random((2, 70, 80))
+    given = noise if isinstance(photos, np.ndarray) else list(noise)
+    with pytest.raises(ValueError, match=words):
+        estimate_motion(given, **{"codes": [ShutterCode("1101"), ShutterCode("1111")], **options})
+
+
+def test_a_photo_given_twice_through_two_codes_is_refused():
+    photo = np.random.default_rng(0).random((70, 80))
+    with pytest.raises(ValueError, match=r"^photo 2: is the same as photo 1; give each photo once"):
+        estimate_motion([photo, photo.copy()], codes=[ShutterCode("1101"), ShutterCode("1111")])
+
+
+def test_the_diffusion_model_gets_its_options(made):
+    make_estimator(samples=3, seed=5)
+    make_estimator("motdiff")
+    assert all(callable(options.pop("progress")) for options in made)
+    assert made == [{"samples": 3, "seed": 5}, {"samples": 8, "seed": 0}]
+
+
+@pytest.mark.parametrize("method", ["motdiff", "pmp"])
+def test_the_share_told_begins_before_torch_is_loaded_and_goes_on_with_the_estimator_s(method):
+    """In a fresh interpreter, for torch is loaded here."""
+    script = (
+        "import json, sys; from cep.calibration.calibrate import make_estimator; "
+        "told = []; make_estimator(sys.argv[1], progress=lambda share, _what: told.append(('torch' in sys.modules, "
+        "f'motdiff.estimators.{sys.argv[1]}' in sys.modules, share))); print(json.dumps(told))"
+    )
+    ran = subprocess.run([sys.executable, "-c", script, method], capture_output=True, text=True, check=True)
+    loaded = [(torch, estimator) for torch, estimator, _ in json.loads(ran.stdout)]
+    shares = [share for *_, share in json.loads(ran.stdout)]
+    assert loaded == [(False, False), (True, False), (True, True)]
+    assert shares == sorted(shares)
+
+
+def test_a_seed_does_no_harm_to_a_method_that_draws_nothing():
+    make_estimator("pmp", seed=3)
+    make_estimator("point", seed=3)
+
+
+def test_calibration_is_blind_unless_told_otherwise(made):
+    found = estimate_motion(np.random.default_rng(0).random((70, 80)))
+    assert len(made) == 1
+    assert found.trajectories == (BENT,)
+
+
+def test_a_steady_turn_gives_a_straight_path():
+    found = estimate_motion(np.random.default_rng(0).random((50, 60)), method="gyro", **GYRO)
+    assert found.trajectories[0].direction == "known"
+    assert found.trajectories[0].length_px == pytest.approx(500 * 0.1 * np.hypot(0.1, 0.2), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("method", "options", "message"),
+    [
+        ("magic", {}, "method: must be one of motdiff, pmp, reference, point, gyro, coded, or module:name, got .mag"),
+        ("reference", {}, "sharp: needed with method='reference'"),
+        ("gyro", GYRO | {"focal_px": None}, "focal_px: needed with method='gyro'"),
+        ("pmp", {"sharp": np.eye(40)}, "sharp: not valid with method='pmp'"),
+        ("pmp", {"samples": 8}, "^samples: not valid with method='pmp'$"),
+        ("reference", {"sharp": np.eye(40), "samples": 8}, "^samples: not valid with method='reference'$"),
+        ("point", {"samples": 8}, "^samples: not valid with method='point'$"),
+        ("gyro", GYRO | {"samples": 8}, "^samples: not valid with method='gyro'$"),
+        ("motdiff", {"sharp": np.eye(40)}, "^sharp: not valid with method='motdiff'$"),
+        ("motdiff", {"samples": 0}, "^samples: must be at least 1, got 0$"),
+        ("point", {"start_s": 1.0}, "start_s: not valid with method='point'"),
+    ],
+)
+def test_what_a_method_needs_is_said(method, options, message):
+    with pytest.raises(ValueError, match=message):
+        make_estimator(method, **options)
+
+
+@pytest.mark.parametrize(("level", "shade"), [(0.0, "black"), (1.0, "white"), (0.4, "the same")])
+def test_a_photo_without_texture_is_refused(level, shade):
+    with pytest.raises(ValueError, match=f"{shade} all over"):
+        estimate_motion(np.full((64, 64, 3), level), method="point")
+
+
+def test_the_files_hold_the_estimate(tmp_path):
+    found = estimate(BENT, BENT.scaled(1.2))
+    photo = np.random.default_rng(0).random((80, 90, 3))
+    written = write_calibration(tmp_path / "m", found, photo, source={"image": "a.png", "seed": 4})
+    assert set(written) == set(CALIBRATION_FILES) == {item.name for item in (tmp_path / "m").iterdir()}
+    stored = read_motion(written["trajectory.json"])
+    np.testing.assert_allclose(stored.trajectory.xy, BENT.xy)
+    assert stored.weight == 0.5
+    assert len(stored.alternatives) == 1
+    assert stored.source == {"method": "pmp", "image": "a.png", "seed": 4}
+    np.testing.assert_allclose(read_psf(written["psf.npy"]), found.psf, rtol=1e-6)
+    np.testing.assert_array_equal(read_image(written["map.png"], gamma="linear"), BENT.hr_map())
+
+
+def test_a_path_too_large_for_the_map_has_none(tmp_path):
+    written = write_calibration(tmp_path / "m", estimate(Trajectory.straight(100.0)), np.zeros((60, 60)))
+    assert set(written) == set(CALIBRATION_FILES) - {"map.png", "sharpened.png"}  # no restoration was better
+
+
+def test_nothing_is_replaced_or_half_written(tmp_path):
+    write_calibration(tmp_path / "m", estimate(BENT), np.zeros((60, 60)))
+    before = (tmp_path / "m/trajectory.json").read_text()
+    with pytest.raises(ValueError, match="use --force"):
+        write_calibration(tmp_path / "m", estimate(BENT.scaled(2)), np.zeros((60, 60)))
+    with pytest.raises(TypeError, match="shape"):  # fails on the last file, the preview
+        write_calibration(tmp_path / "m", estimate(BENT.scaled(2)), np.zeros((60, 60, 7)), force=True)
+    assert (tmp_path / "m/trajectory.json").read_text() == before
+    assert [item.name for item in tmp_path.iterdir()] == ["m"]
+
+
+# ---- the command
+
+
+def test_the_command_is_blind_by_the_diffusion_model_unless_told_otherwise(cep, workplace, made):
+    found = cep.succeeds("calibrate", "blurred.png", "-o", "motion")
+    ((options),) = made
+    assert callable(options.pop("progress"))
+    assert options == {"samples": 8, "seed": 0}
+    assert found["length_px"] == pytest.approx(BENT.length_px)
+    assert read_motion(workplace / "motion/trajectory.json").source["seed"] == 0
+
+
+def test_the_command_passes_on_samples_and_seed(cep, workplace, made):
+    cep.succeeds("calibrate", "blurred.png", "--samples", "3", "--seed", "7", "-o", "motion")
+    ((options),) = made
+    assert (options["samples"], options["seed"]) == (3, 7)
+    assert read_motion(workplace / "motion/trajectory.json").source["seed"] == 7
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--method", "pmp", "--samples", "4"], "--samples: not valid with --method pmp"),
+        (["--quick"], "--quick"),  # it saved a tenth of the time
+        (["--samples", "0"], "--samples"),
+        (["--sharp", "sharp.png"], "--sharp: not valid with --method motdiff"),
+    ],
+)
+def test_the_command_says_which_method_an_option_is_for(cep, workplace, options, said):
+    assert said in cep.refuses("calibrate", "blurred.png", *options)
+    assert not (workplace / "blurred_motion").exists()
+
+
+def test_a_photo_without_texture_is_refused_before_the_network_is_loaded(cep, workplace, made):
+    write_image("grey.png", np.full((80, 90), 0.5))
+    assert "motion shows only where the scene has texture" in cep.refuses("calibrate", "grey.png")
+    assert made == []
+
+
+@pytest.mark.parametrize(("method", "least_px"), [("motdiff", 64), ("pmp", 48)])
+def test_a_photo_that_is_too_small_is_refused_before_anything_slow_is_loaded(workplace, method, least_px):
+    write_image("small.png", np.random.default_rng(0).random((30, 35)))
+    script = (
+        "import sys; from cep.commands.main import main; code = main(sys.argv[1:]); "
+        "print(code, *{'torch', 'matplotlib', f'motdiff.estimators.{sys.argv[-1]}'} & {*sys.modules})"
+    )
+    command = [sys.executable, "-c", script, "calibrate", "small.png", "--method", method]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert ran.stderr == f"cep: small.png: needs at least {least_px} x {least_px} px, got 35 x 30\n"
+    assert ran.stdout == "2\n"
+    assert not Path("small_motion").exists()
+
+
+def test_the_command_runs_a_network(cep, workplace, small_weights, monkeypatch):
+    monkeypatch.setattr("motdiff.estimators.multiscale.simplest_trajectory", lambda psf: BENT)  # noise is long to trace
+    found = cep.succeeds("calibrate", "blurred.png", "--samples", "1", "-o", "motion")
+    assert found["method"] == "motdiff"
+    assert found["details"]["samples"] == 1
+    assert found["details"]["classical"] in (2, 4)
+    assert set(CALIBRATION_FILES) == {item.name for item in (workplace / "motion").iterdir()}
+    assert read_psf(found["psf"]).sum() == pytest.approx(1, rel=1e-5)

@@ -1,0 +1,117 @@
+"""``cep advise`` and the verdict of ``cep optimize``: sentence, table, figure, JSON."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cep.commands.code_options import exposure_seconds
+from cep.files.files import StoredCode, write_code
+from cep.files.images import read_image
+from cep.optics.code import ShutterCode
+from cep.search.chip_count import COUNTS
+
+ALONG = ("--linear", "12", "--chips", "12")
+FIELDS = {"verdict", "choice", "gains_db", "equal_light_gains_db", "crossover", "levels", "chips", "exposure_s", "plot"}
+
+
+def test_the_answer_comes_first(cep, workplace):
+    assert cep("advise", *ALONG, "--photons", "3000", "--read-noise", "2", "-o", "quiet.png").code == 0
+    assert cep.out.startswith("Coding does not pay here: expose 1/")
+    assert cep("advise", *ALONG, "--read-noise", "50", "-o", "noisy.png").code == 0
+    assert cep.out.startswith("Code this exposure: ")
+    assert read_image("noisy.png").ndim == 3
+
+
+def test_a_figure_is_drawn_where_it_is_asked_for_alone(cep, workplace):
+    """The answer is on the page: asking twice must not fail over a file of the first time."""
+    given = ("--chips", "4", "--linear", "12", "--read-noise", "50")
+    before = sorted(Path().iterdir())
+    first, second = (cep.succeeds("advise", *given) for _ in range(2))
+    assert sorted(Path().iterdir()) == before
+    assert first == second
+    assert first["plot"] is None
+    assert cep.succeeds("advise", *given, "-o", "told.png")["plot"] == "told.png"
+    assert "told.png: exists already" in cep.refuses("advise", *given, "-o", "told.png")
+
+
+def test_json_holds_what_is_said(cep, workplace):
+    found = cep.succeeds("advise", *ALONG, "--read-noise", "50", "--exposure", "1/50", "-o", "advice.png")
+    assert set(found) >= FIELDS
+    assert found["choice"] == "code"
+    assert {one["photons"]: one["choice"] for one in found["levels"]}[10_000] == "code"
+    assert found["exposure_s"] == pytest.approx(0.02, rel=1e-6)
+    assert found["gains_db"]["open"] == 0
+    assert found["gains_db"]["code"] > found["gains_db"]["snapshot"]
+    assert found["verdict"].startswith("Code this exposure")
+
+
+def test_a_stated_error_of_the_path_counts(cep, workplace):
+    path = json.loads(Path("trajectory.json").read_text())
+    path["source"] = {"path_uncertainty_px": 0.7}
+    Path("vague.json").write_text(json.dumps(path))
+    given = ("--chips", "8", "--read-noise", "50", "--force", "-o", "advice.png")
+    exact, vague, told = (
+        cep.succeeds("advise", "--trajectory", name, *given, *more)
+        for name, more in (("trajectory.json", ()), ("vague.json", ()), ("trajectory.json", ("--path-error", "0.7")))
+    )
+    assert (exact["path_error_px"], vague["path_error_px"]) == (0.0, 0.7)
+    assert vague["gains_db"] == told["gains_db"] != exact["gains_db"]
+
+
+def test_codes_of_ones_own_are_judged(cep, workplace):
+    bits = "110100101011"
+    found = cep.succeeds("advise", *ALONG, "--code", bits, "-o", "advice.png")
+    assert found["chips"] == len(bits)
+    line = cep.refuses("advise", *ALONG, "--code", "1011", "-o", "other.png")
+    assert "--code" in line
+    assert not Path("other.png").exists()
+
+
+def test_the_chip_time_of_a_code_file_counts(cep, workplace):
+    """1 e-/ms of dark current: the longer the file's chips, the worse its code; another exposure contradicts it."""
+    Path("warm.toml").write_text("read_noise_e = 2.0\ndark_current_e_s = 100000.0\n")
+    given = (*ALONG, "--camera", "warm.toml", "--force", "-o", "advice.png")
+    found = {}
+    for chip_ns in (100_000, 4_000_000):
+        write_code("own.json", StoredCode(ShutterCode("110100101011", chip_ns)))
+        one = cep.succeeds("advise", *given, "--code", "own.json")
+        assert (one["chip_ns"], one["exposure_s"]) == (chip_ns, pytest.approx(12 * chip_ns * 1e-9))
+        assert one["warnings"] == []
+        found[chip_ns] = one["codes"][0]["psnr_db"]
+    assert found[100_000] > found[4_000_000] + 1
+    assert cep("advise", *given, "--code", "own.json", "--exposure", "48ms").code == 0
+    line = cep.refuses("advise", *given, "--code", "own.json", "--exposure", "20ms")
+    assert line.startswith("cep: --exposure: 20 ms contradicts the file of --code, whose 12 chips of 4 ms take 48 ms")
+    write_code("other.json", StoredCode(ShutterCode("110100101011", 100_000)))
+    line = cep.refuses("advise", *given, "--code", "own.json", "--code", "other.json")
+    assert line.startswith("cep: --code: the files state chips of")
+
+
+def test_chips_are_chosen_where_none_are_given(cep, workplace):
+    found = cep.succeeds("advise", "--linear", "12", "--read-noise", "50", "-o", "advice.png")
+    others = {int(count) for count in found["other_chips_db"]}
+    assert found["chips"] in COUNTS
+    assert others | {found["chips"]} <= set(COUNTS)
+    searched = cep.succeeds("optimize", "--linear", "12", "--read-noise", "50", "--steps", "2000", "-o", "new.json")
+    assert searched["chips"] == found["chips"]
+    assert "other_chips_db" in searched
+
+
+def test_an_exposure_sets_the_chip_time_of_a_code(cep, workplace):
+    given = (*ALONG, "--steps", "2000", "--device", "cxp-avr", "--exposure", "6.01ms")
+    found = cep.succeeds("optimize", *given, "-o", "new.json")
+    assert found["chip_ns"] == 501_000  # the nearest tick of 0.5 us
+    assert found["exposure_s"] == pytest.approx(12 * 501e-6)
+    line = cep.refuses("optimize", *given, "--chip-ns", "500000", "-o", "other.json")
+    assert line.startswith("cep: --exposure and --chip-ns: give one of them")
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "1/0", "x", "", "inf", "nan", "1/x", "10 m"])
+def test_a_wrong_exposure_is_refused(cep, workplace, text):
+    assert cep.refuses("advise", *ALONG, "--exposure", text).startswith("cep: --exposure: must be a time above 0")
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("1/30", 1 / 30), ("20ms", 0.02), ("500us", 5e-4), ("2 s", 2), ("3", 3)])
+def test_exposures_are_read(text, seconds):
+    assert exposure_seconds(text) == pytest.approx(seconds)

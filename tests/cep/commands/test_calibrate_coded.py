@@ -1,0 +1,85 @@
+"""``cep calibrate P1 P2 --code C1 --code C2``: photos of one motion through known codes."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from cep.files.files import StoredCode, write_code
+from cep.files.images import write_image
+from cep.optics.capture import capture
+from cep.optics.code import ShutterCode
+from motdiff.files.trajectories import read_motion
+from motdiff.trajectory import Trajectory
+
+PATH = Trajectory.from_samples([[0, 0], [5, 0], [9, 2], [11, 6], [11, 11]])
+CODES = ("1111111111111111", "1101000101101110")
+
+
+@pytest.fixture
+def photos(tmp_path, monkeypatch):
+    """Two photos of a scene along a bent path, open and coded."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(3)
+    scene = 0.1 + 0.8 * np.kron(rng.random((34, 34)), np.ones((8, 8)))
+    for name, code in zip(("open.png", "coded.png"), CODES, strict=True):
+        write_image(name, capture(scene, PATH, ShutterCode(code), rng=rng), bits=16)
+    return tmp_path
+
+
+@pytest.mark.slow(reason="two blind searches and a fit")
+def test_path_comes_with_its_order_in_time(cep, photos):
+    found = cep.succeeds("calibrate", "open.png", "coded.png", "--code", "open", "--code", CODES[1], "-o", "motion")
+    assert found["direction"] == "known"
+    assert 0 < found["order_confidence"] < 1
+    motion = read_motion(found["trajectory"])
+    times = np.linspace(0, 1, 101)
+    apart = [path.at(times) - PATH.at(times) for path in (motion.trajectory, motion.trajectory.reversed())]
+    forward, backward = (np.sqrt(((d - d.mean(axis=0)) ** 2).sum(axis=1).mean()) for d in apart)
+    assert forward < 1 < backward
+    assert motion.source["codes"] == list(CODES)
+
+
+@pytest.mark.slow(reason="two searches")
+def test_a_small_light_s_trail_has_its_order_in_time(cep, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, angle = "1011011101011110110101110011", np.linspace(0, 2, 100)
+    arc = Trajectory.from_samples(15 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    chips = arc.slice_psfs(np.linspace(0, 1, len(code) + 1), 65)
+    trail = ndimage.gaussian_filter(chips[np.array(list(code)) == "1"].sum(axis=0), 0.6)
+    light = 0.03 + 0.8 * trail / trail.max() + 0.003 * np.random.default_rng(0).standard_normal(trail.shape)
+    write_image("light.png", np.clip(light, 0, 1), bits=16)
+    found = cep.succeeds("calibrate", "light.png", "--method", "point", "--code", code, "-o", "motion")
+    assert (found["method"], found["direction"]) == ("point", "known")
+    assert 0 < found["order_confidence"] < 1
+    assert 0 < found["path_uncertainty_px"] < 1
+    times = np.linspace(0, 1, 101)
+    path = read_motion(found["trajectory"]).trajectory
+    apart = [one.at(times) - arc.at(times) for one in (path, path.reversed())]
+    forward, backward = (np.sqrt(((d - d.mean(axis=0)) ** 2).sum(axis=1).mean()) for d in apart)
+    assert forward < 1 < backward
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["open.png", "coded.png", "--code", "open"], ["--code", "1 for 2 photos"]),
+        (["open.png", "coded.png", "--code", "open", "--code", "open"], ["order cannot be known"]),
+        (["open.png", "coded.png", "--code", "1101", "--code", CODES[1]], ["--code 2", "16 chips", "4"]),
+        (["open.png", "coded.png", "--code", "open", "--code", "0" * 16], ["open"]),
+        (["open.png", "coded.png", "--code", "open", "--code", "nothing"], ["nothing", "no code"]),
+        (["open.png", "small.png", "--code", "open", "--code", CODES[1]], ["cep: small.png: ", "px"]),
+        (["open.png", "missing.png", "--code", "open", "--code", CODES[1]], ["missing.png"]),
+        (["coded.png", "--code", CODES[1], "--method", "pmp"], ["code", "pmp"]),
+        (["coded.png", "--code", CODES[1], "--method", "motdiff"], ["code", "motdiff"]),
+        (["open.png", "coded.png", "--code", "slow.json", "--code", "fast.json"], ["--code 2", "500000", "250000"]),
+        (["coded.png", "--method", "coded"], ["code", "needed"]),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(cep, photos, arguments, words):
+    write_image("small.png", np.random.default_rng(0).random((100, 90)))
+    for name, code, chip_ns in (("slow.json", CODES[0], 500_000), ("fast.json", CODES[1], 250_000)):
+        write_code(name, StoredCode(ShutterCode(code, chip_ns)))
+    before = sorted(photos.rglob("*"))
+    line = cep.refuses("calibrate", *arguments)
+    assert all(word in line for word in words), line
+    assert sorted(photos.rglob("*")) == before

@@ -1,0 +1,162 @@
+"""Tables for people: at any width the rows' names can be read whole, and what is left out is said."""
+
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from cep.jobs.folders import FolderResults
+from cep.commands.console import Table, finish, table
+from cep.commands.jobs import finish_folder
+from cep.files.tables import Bold
+from lab.bench.blind.report import blind_tables
+from lab.bench.codes import CODE_HEAD
+from lab.commands.tables import show_tables
+
+WIDTHS = (60, 80, 120)
+
+
+def rendered(made, width):
+    """Print a table on a console of so many columns."""
+    stream = io.StringIO()
+    Console(width=width, highlight=False, soft_wrap=True, file=stream).print(made)
+    return stream.getvalue()
+
+
+def check(made):
+    """Read every table at every width: names are whole, heads are there or named as left out, lines fit."""
+    for width in WIDTHS:
+        text = rendered(made, width)
+        page, _, left_out = text.partition("left out, as ")
+        assert max(map(len, page.splitlines())) <= width
+        words = page.split()
+        for name in (str(row[0]) for row in made.rows):
+            # folded where it is longer than the narrowest column of names
+            pieces = [piece for word in name.split() for piece in re.findall(".{1,16}", word)]
+            joined = "".join(words)
+            assert all(piece in words or piece in joined for piece in pieces), (name, text)
+        for head in made.columns:
+            assert all(word in words for word in head.split()) or head in left_out, (head, text)
+        if width == 120:
+            assert not left_out
+
+
+NAMES = st.lists(
+    st.lists(st.text("abcdefgh", min_size=1, max_size=20), min_size=1, max_size=5).map(" ".join), min_size=1, max_size=4
+)
+
+
+@given(NAMES, st.integers(1, 9), st.integers(1, 12), st.sampled_from(WIDTHS), st.integers(0, 2))
+def test_names_are_whole_whatever_the_figures_take(names, columns, digits, width, kept):
+    figures = ["1" * digits] * columns
+    heads = ["", *(f"{'X' * (1 + index)} Y" for index in range(columns))]
+    made = table("", heads, [(name, *figures) for name in names], kept=kept)
+    text = rendered(made, width)
+    page, _, note = text.partition("left out")
+    assert re.sub(r"[^a-h]", "", page) == "".join(names).replace(" ", "")  # line by line, nothing cut, nothing mixed
+    shown = max(line.count("1" * digits) for line in page.splitlines())
+    assert note.count("Y") == columns - shown
+    for line in page.splitlines():
+        assert len(line) <= width
+        assert len(re.findall("1+", line)) in (0, shown)
+    if shown > kept:
+        assert not any(head in note for head in heads[-kept:] if kept)
+    if shown < columns:  # one more would not have fitted, with the narrowest names and heads
+        least = min(max(map(len, names)), 16)
+        assert least + (shown + 1) * max(digits, columns) + 3 * (shown + 2) - 1 > width
+
+
+def test_columns_are_not_left_out_where_wrapped_heads_fit():
+    rows = [("published: raskar-52", 26, 0.0005, "> 100", -22.2)]
+    heads = ("code", "open", "min |P|, chips", "noise gain, dB", "MSE, dB")
+    assert "left out" not in rendered(table("", heads, rows), 60)
+    assert "noise gain, dB; MSE, dB" in rendered(table("", heads, rows), 40)
+
+
+@pytest.fixture
+def shown(cep, monkeypatch):
+    """Run a command and return the tables that it prints."""
+    made, real = [], Console.print
+
+    def collecting(self, *objects, **options):
+        made.extend(one for one in objects if isinstance(one, Table))
+        real(self, *objects, **options)
+
+    monkeypatch.setattr(Console, "print", collecting)
+
+    def run(*arguments):
+        cep(*arguments)
+        assert cep.code == 0, cep.err
+        return made.copy()  # printing them again adds to it
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("command", "tables"),
+    [
+        ("optimize --linear 52 --open 26 --steps 500 --force", 1),
+        ("optimize --trajectory trajectory.json --chips 12 --steps 500 --force", 1),
+        ("optimize --linear 24 --chips 24 --open 12 --frames 2 --steps 500", 1),
+        ("pareto --chips 13 --open 6:10 --steps 500", 1),
+        ("audit 101100111000010 --flips 1", 3),
+        ("mtf --linear 52 --code raskar-52", 1),
+    ],
+)
+def test_every_commands_tables_at_every_width(shown, workplace, command, tables):
+    made = shown(*command.split())
+    assert len(made) == tables
+    for one in made:
+        check(one)
+
+
+def test_the_tables_of_the_benchmarks_at_every_width(monkeypatch):
+    rng = np.random.default_rng(0)
+    methods = ("pmp", "motdiff", "network", "psf-diffusion", "true path, uniform speed", "network:ddpm:1000")
+    names = ("mnc", "mnc_subpixel", "path_mnc", "psnr_db", "ssim", "cpu_s")
+    figures = {
+        (method, photo, motion, "bright"): {name: 10 * rng.random() for name in names}
+        for method in methods
+        for photo in "ab"
+        for motion in "01"
+    }
+    made = []
+    console = type("Console", (), {"print": lambda self, one: made.append(one)})()
+    show_tables(console, blind_tables(figures, ["bright"], title="Blind", seed=0))
+    codes = [("mcdermott-moore-104", "52", "1.2345", "21.20", "1.3456", "20.11", "yes")]
+    for one in [*made, table("smallest |P|", CODE_HEAD, codes)]:
+        check(one)
+    assert all(rendered(one, 60).splitlines()[-1].count("n;") == 0 for one in made)
+
+
+def test_the_table_of_a_folder_says_what_failed_at_every_width(capsys, monkeypatch):
+    heads = {"photo": "photo", **{f"figure{index}": f"figure {index}, px" for index in range(9)}}
+    row = {"photo": "DSC01234567890123456789.ARW", **{f"figure{index}": 1.25 for index in range(9)}}
+    found = FolderResults(Path(), Path("motions.csv"), {}, [{**row, "failure": "is gone"}], 0, [])
+    for width in WIDTHS:
+        monkeypatch.setenv("COLUMNS", str(width))
+        with pytest.raises(typer.Exit):
+            finish_folder({"summary": "motions.csv"}, heads, found, title="", noun="photos", as_json=False)
+        out = capsys.readouterr().out
+        assert " failed" in out
+        assert "DSC0123456789012" in out
+        assert ("left out" in out) == (width < 120)
+
+
+def test_brackets_of_names_are_printed_as_they_are(capsys):
+    def show(console):
+        console.print("m[b].json: written")
+        console.print(table("c[w].json", ("code", "x"), [(Bold("best"), 1), ("[/]", 2)]))
+
+    finish({}, as_json=False, show=show)
+    said = capsys.readouterr().out
+    assert "m[b].json: written" in said
+    assert "c[w].json" in said
+    assert "[/]" in said
+    assert "Bold" not in said

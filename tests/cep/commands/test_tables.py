@@ -1,0 +1,93 @@
+"""``--table``: the tables that commands print, in a file by its suffix."""
+
+import csv
+from pathlib import Path
+
+import pytest
+from cep_tables import read_tables
+
+from cep.files.files import StoredCode, write_code
+from cep.optics.code import ShutterCode
+
+
+def test_the_comparison_of_a_search_is_written_as_latex(cep, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = cep.succeeds("optimize", "--linear", "12", "--chips", "12", "--steps", "2000", "--table", "compared.tex")
+    ((caption, _, head, rows),) = read_tables(Path("compared.tex").read_text(encoding="utf-8"))
+    assert caption.startswith("compared on this motion")
+    assert head[:2] == ["code", "open"]
+    assert len(rows) == 1 + len(found["baselines"])
+    assert rows[0][1] == str(found["open"])
+    assert float(rows[0][2]) == pytest.approx(found["min_chip"], rel=1e-3)
+
+
+def test_csv_has_the_figures_in_full(cep, tmp_path):
+    table = tmp_path / "audit.csv"
+    found = cep.succeeds("audit", "raskar-52", "--flips", "0", "--table", table)
+    first = table.read_text(encoding="utf-8").split("\n\n")[0].splitlines()
+    rows = dict(csv.reader(first[2:]))
+    assert float(rows["min_chip"]) == found["min_chip"]
+
+
+@pytest.mark.parametrize(
+    ("command", "heads"),
+    [
+        (("camera", "list"), {"name", "read noise"}),
+        (("mtf", "--linear", "9", "--code", "1011"), {"code", "min MTF"}),
+        (("advise", "--linear", "8", "--chips", "8"), {"at equal light, dB", "advised"}),
+        (("pareto", "--chips", "10", "--open", "5", "--steps", "2000"), {"noise gain, dB"}),
+    ],
+)
+def test_every_table_of_a_page_is_written(cep, tmp_path, monkeypatch, command, heads):
+    monkeypatch.chdir(tmp_path)
+    assert cep(*command, "--table", "page.md").code == 0, cep.err
+    assert cep.out.endswith("page.md: the tables\n")
+    text = Path("page.md").read_text(encoding="utf-8")
+    assert all(f"| {head} |" in text for head in heads)
+    assert "use --force" in cep.refuses(*command, "--table", "page.md", *_elsewhere(command))
+
+
+def _elsewhere(command):
+    """Another output, so that only the table is in the way."""
+    return {"mtf": ("-o", "b.png"), "advise": ("-o", "b.png"), "pareto": ("-o", "b.json")}.get(command[0], ())
+
+
+def test_brackets_in_the_names_of_files_stay(cep, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_code("c[w].json", StoredCode(ShutterCode("1011")))
+    cep("mtf", "--linear", "9", "--code", "c[w].json", "-o", "m[b].png", "--table", "t.md")
+    text = Path("t.md").read_text(encoding="utf-8")
+    for part in ("m[b].png", "c[w]"):
+        assert part in cep.out
+        assert part.replace("[", "\\[").replace("]", "\\]") in text
+
+
+def test_another_suffix_is_refused_before_any_work(cep, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for command in (("optimize", "--linear", "9"), ("audit", "1011"), ("advise", "--linear", "9")):
+        line = cep.refuses(*command, "--table", "t.xlsx")
+        assert line == "cep: --table: t.xlsx: tables are written as .tex, .csv or .md\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_table_of_a_folder_is_written_too(cep, workplace, monkeypatch):
+    monkeypatch.syspath_prepend(workplace)
+    Path("shots").mkdir()
+    Path("blurred.png").rename("shots/one.png")
+    plugin = Path("folder_plugin.py")
+    plugin.write_text(
+        "from motdiff.estimators.base import MotionEstimate\n"
+        "from motdiff.trajectory import Trajectory\n"
+        "class Straight:\n"
+        "    def estimate(self, photo):\n"
+        "        path = Trajectory.straight(9.0)\n"
+        "        return MotionEstimate('straight', (path,), (1.0,), path.psf(33), confidence=0.5)\n"
+    )
+    options = ("--method", "folder_plugin:Straight", "--workers", "1", "-o", "motions")
+    cep("calibrate", "shots", *options, "--table", "m.tex")
+    assert cep.code == 0, cep.err
+    ((caption, _, head, rows),) = read_tables(Path("m.tex").read_text(encoding="utf-8"))
+    assert caption == "the motion in each photo"
+    assert dict(zip(head, rows[0], strict=True))["long, px"] == "9"
+    line = cep.refuses("calibrate", "shots/one.png", "--method", "pmp", "--table", "m.tex")
+    assert line.startswith("cep: --table: is for a folder")

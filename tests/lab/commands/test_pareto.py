@@ -1,0 +1,129 @@
+"""``python -m lab pareto``: its files, what it says, its exit codes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cep.codes.published import for_chips
+from cep.optics.code import ShutterCode
+from cep.proofs.certify.minimum import min_chip
+from lab.fronts import pareto
+
+
+def test_both_files_are_written(cep, workplace):
+    options = ("--chips", "13", "--open", "6:10", "--steps", "2000", "--seed", "2", "--chip-ns", "5000")
+    found = cep.succeeds("pareto", *options, "-o", "f.json", "--plot", "f.svg")
+    assert Path("f.svg").read_text().startswith("<?xml")
+    stored = json.loads(Path("f.json").read_text())
+    assert stored["schema"] == "cep.front/1"
+    assert stored["chip_ns"] == 5000
+    assert stored["unit"] == found["unit"] == "chips"
+    assert stored["points"] == found["points"]
+    assert set(stored["knees"]) == {"best minimum", "least noise", "compromise", "most light"}
+    assert set(stored["published"]) == {entry.name for entry in for_chips(13)} != set()
+    for point in found["points"]:
+        code = ShutterCode(point["bits"])
+        assert point["minimum"] == pytest.approx(min_chip(code), abs=1e-9)
+        assert point["open"] == code.open_chips
+        assert 6 <= code.open_chips <= 10
+        assert point["dnf_db"] == pytest.approx(point["noise_gain_db"] + 20 * np.log10(code.duty))
+    assert {"seconds", "steps", "stopped", "interrupted", "seed", "warnings"} <= set(found)
+    assert stored["problem"]["seed"] == 2
+
+
+def test_for_people_it_prints_the_knees(cep, workplace):
+    assert cep("pareto", "--chips", "8", "--linear", "10", "--duty", "0.4:0.8", "--steps", "0").code == 0
+    for text in ("best minimum", "least noise", "compromise", "most light", "noise gain, dB", "front.json, front.png"):
+        assert text in cep.out
+    assert Path("front.png").read_bytes().startswith(b"\x89PNG")
+    best = json.loads(Path("front.json").read_text())["knees"]["best minimum"]
+    assert f"best minimum: {best['bits']}" in cep.out
+
+
+def test_a_curve_says_that_its_minimum_is_sampled(cep, workplace):
+    found = cep.succeeds("pareto", "--trajectory", "trajectory.json", "--chips", "8", "--steps", "0")
+    assert found["unit"] == "light-true, sampled"
+    assert "samples" in found["warnings"][0]
+    lights = [point["open"] for point in found["points"]]
+    assert lights == sorted(set(lights))
+
+
+def test_an_interrupt_keeps_the_front(cep, workplace, monkeypatch):
+    def interrupted_soon(problem, *, progress, **options):
+        def stop(_fraction, _note):
+            raise KeyboardInterrupt
+
+        return real(problem, progress=stop, **options)
+
+    real = pareto.pareto_front
+    monkeypatch.setattr("lab.fronts.run.pareto_front", interrupted_soon)
+    found = cep.succeeds("pareto", "--chips", "20", "-o", "f.json")
+    assert found["interrupted"]
+    assert found["stopped"] == "interrupted"
+    assert "early" in found["warnings"][0]
+    assert json.loads(Path("f.json").read_text())["points"] == found["points"]
+    assert Path("f.png").exists()
+
+
+def test_runs_and_periods_are_limited(cep, workplace):
+    cep.succeeds("pareto", "--chips", "12", "--max-open", "2", "--min-period", "3", "--steps", "1000", "-o", "a.json")
+    front = json.loads(Path("a.json").read_text())
+    assert (front["problem"]["max_open"], front["problem"]["min_period"]) == (2, 3)
+    assert front["points"]
+    for point in front["points"]:
+        # runs of at most two, and no start two chips after another
+        assert "111" not in point["bits"]
+        assert "0101" not in "0" + point["bits"]
+
+
+def test_repeatable(cep, workplace):
+    options = ("pareto", "--chips", "12", "--steps", "1000", "--seed", "4")
+    cep.succeeds(*options, "-o", "a.json")
+    cep.succeeds(*options, "-o", "b.json")
+    assert Path("a.json").read_bytes() == Path("b.json").read_bytes()
+    assert Path("a.png").read_bytes() == Path("b.png").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("says", "options"),
+    [
+        ("--open", ("--open", "5:2")),
+        ("--open", ("--open", "some")),
+        ("--open", ("--open", "3:99")),
+        ("--open and --duty", ("--open", "3", "--duty", "0.2:0.4")),
+        ("duty", ("--duty", "0.9:0.2")),
+        ("--direction", ("--direction", "left")),
+        ("--trajectory", ("--linear", "20", "--trajectory", "trajectory.json")),
+        ("--linear", ("--linear", "-3")),
+        ("chips", ("--linear", "1")),
+        ("--plot", ("--plot", "front.gif")),
+        ("--plot", ("-o", "a.png", "--plot", "a.png")),
+        ("--min-open", ("--min-open", "12", "--open", "3")),
+        ("--max-open 2 and --min-period 9", ("--max-open", "2", "--min-period", "9", "--open", "7")),
+        ("--time", ("--time", "0")),
+        ("zero", ("--open", "16", "--steps", "0")),
+        ("no folder", ("-o", "nowhere/front.json")),
+        ("sharp.png", ("--plot", "sharp.png")),
+        ("--help", ("--chips", "1")),
+    ],
+)
+def test_bad_options_write_nothing(cep, workplace, says, options):
+    before = {item: item.read_bytes() for item in sorted(workplace.iterdir())}
+    assert says in cep.refuses("pareto", "--chips", "16", *options)
+    assert {item: item.read_bytes() for item in sorted(workplace.iterdir())} == before
+
+
+def test_existing_files_need_force(cep, workplace):
+    options = ("pareto", "--chips", "8", "--open", "4:6", "--steps", "0")
+    cep.succeeds(*options)
+    assert "--force" in cep.refuses(*options)
+    cep.succeeds(*options, "--force")
+
+
+def test_help_has_an_example_and_says_what_is_judged(cep):
+    cep("pareto", "--help")
+    shown = " ".join(cep.out.split())
+    for text in ("Example: python -m lab pareto", "--json", "--seed", "--force", "--output", "any speed", "curved"):
+        assert text in shown

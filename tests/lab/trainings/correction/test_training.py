@@ -1,0 +1,193 @@
+"""Training of the correction: samples, loss, weights and command line."""
+
+import itertools
+import re
+
+import numpy as np
+import pytest
+import torch
+
+from cep.files.images import write_image
+from lab.trainings.correction import samples as samples_module
+from lab.trainings.correction.__main__ import run
+from lab.trainings.correction.samples import LEAST_ALIKE, Kernels, alike, prepare, read_kernels, searched
+from lab.trainings.correction.training import Settings, Trainer, corrected_mnc, train
+from motdiff.estimators.pmp.estimator import PmpEstimator, Start
+from motdiff.metrics import mnc
+from motdiff.network.correction import MAPS, CorrectionNetwork
+from motdiff.training.motion_bank import MotionMix, build_bank
+from motdiff.training.samples import simulate
+from motdiff.training.simulation import Photography
+from motdiff.weights.correction import load_correction, read_card
+
+MIX = MotionMix(max_length_px=25)
+
+
+def path_kernel(seed):
+    """Kernel of a random walk."""
+    rng = np.random.default_rng(seed)
+    kernel = np.zeros((64, 64))
+    for down, right in np.cumsum(rng.integers(-1, 2, (25, 2)), axis=0):
+        kernel[32 + down, 32 + right] += 1
+    return torch.from_numpy(kernel / kernel.sum()).float()
+
+
+@pytest.fixture(scope="module")
+def kernels():
+    """Kernels with a tail that is not theirs, which one map lacks, in maps that otherwise hold noise."""
+    truth = torch.stack([path_kernel(seed) for seed in range(6)])
+    maps = 0.1 * torch.randn(6, MAPS, 64, 64, generator=torch.Generator().manual_seed(0))
+    maps[:, 0] = truth / truth.amax(dim=(1, 2), keepdim=True)
+    maps[:, 3] = maps[:, 0]
+    maps[:, 0, 10, 20:50] = 0.5
+    return Kernels(maps.half(), truth.half())
+
+
+# ---- samples
+
+
+def small_search():
+    return PmpEstimator(starts=(Start(29), Start(35)))
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    blocks = torch.randint(0, 256, (3, 34, 34), generator=torch.Generator().manual_seed(0))
+    return [blocks.repeat_interleave(10, 1).repeat_interleave(10, 2).to(torch.uint8)]
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory, scenes):
+    """Two shards of three photos each, searched from small frames."""
+    folder = tmp_path_factory.mktemp("kernels")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(samples_module, "SHARD_PHOTOS", 3)
+        patch.setattr(samples_module, "PmpEstimator", small_search)
+        options = {"scenes": scenes, "mix": MIX, "photography": Photography(), "seed": 5}
+        prepare(folder / "both", shards=range(2), **options)
+        prepare(folder / "second", shards=range(1, 2), **options)
+    return folder
+
+
+def test_prepared_kernels_are_those_that_are_not_lost_with_the_truth_laid_on_them(prepared):
+    kernels = read_kernels(prepared / "both")
+    assert 4 <= len(kernels) <= 12
+    assert kernels.maps.shape == (len(kernels), MAPS, 64, 64)
+    assert kernels.truth.shape == (len(kernels), 64, 64)
+    torch.testing.assert_close(kernels.maps[:, 0].amax(dim=(1, 2)).float(), torch.ones(len(kernels)))
+    likeness = alike(kernels.maps[:, 0].float(), kernels.truth.float())
+    assert likeness.min() >= LEAST_ALIKE - 1e-3
+    assert likeness.mean() > 0.7
+    free = [mnc(m[0].float().numpy(), t.float().numpy()) for m, t in zip(kernels.maps, kernels.truth, strict=True)]
+    np.testing.assert_allclose(likeness, free, atol=0.02)  # no other shift is better
+
+
+def test_a_shard_depends_on_its_number_and_the_seed_alone(prepared):
+    one, other = (prepared / folder / "kernels_00001.npz" for folder in ("both", "second"))
+    assert one.read_bytes() == other.read_bytes()
+
+
+def test_samples_of_the_second_pass_are_those_of_the_corrected_kernels(monkeypatch, scenes):
+    class Lessened(CorrectionNetwork):
+        def forward(self, maps):
+            return maps[:, 0] - 0.3
+
+    monkeypatch.setattr(samples_module, "PmpEstimator", small_search)
+    index, seen = torch.arange(1), {}
+    bank = build_bank(MIX, count=1, seed=3, first=0)
+    photos = simulate(bank, scenes, index, photography=Photography(), physics=False, seed=1)
+    for network in (None, Lessened().eval()):
+        seen[network is None] = searched(photos, network=network)
+    first, second = (seen[key].maps[:, 0].float() for key in (True, False))
+    lessened = (first - 0.3).clamp(min=0)
+    torch.testing.assert_close(second, lessened / lessened.amax(dim=(1, 2), keepdim=True), atol=0.03, rtol=0)
+    assert torch.equal(seen[True].truth, seen[False].truth)
+
+
+def test_folders_without_whole_shards_are_refused(prepared, tmp_path):
+    with pytest.raises(ValueError, match=re.escape("holds no kernels_*.npz")):
+        read_kernels(tmp_path)
+    whole = (prepared / "both" / "kernels_00000.npz").read_bytes()
+    (tmp_path / "kernels_00000.npz").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match=r"kernels_00000\.npz: is damaged"):
+        read_kernels(tmp_path)
+
+
+@pytest.mark.parametrize(("down", "right"), [(0, 0), (2, -1), (-2, 2)])
+def test_kernels_are_compared_over_small_shifts(down, right):
+    kernel = path_kernel(0)[None]
+    found = alike(3 * kernel.roll((down, right), (1, 2)), kernel)
+    torch.testing.assert_close(found, torch.ones(1))
+
+
+def test_the_likeness_is_the_mnc():
+    one, other = path_kernel(1), path_kernel(1) + 0.02 * path_kernel(2).roll(3, 0)
+    assert float(alike(one[None], other[None])) == pytest.approx(mnc(one.numpy(), other.numpy()), abs=1e-5)
+
+
+# ---- training
+
+
+def test_training_removes_a_tail_that_no_kernel_has(kernels):
+    trainer = Trainer(kernels, Settings(steps=40, batch=4, rate=5e-3))
+    losses = [trainer.update() for _ in range(40)]
+    assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:3])
+
+
+def test_a_run_writes_as_it_goes_and_its_average_at_the_end(kernels, tmp_path):
+    target, lines = tmp_path / "c.safetensors", []
+    settings = Settings(steps=5, batch=2)
+    times = itertools.count(0.0, 10.0)
+    train(kernels, target, settings=settings, save_s=25.0, clock=lambda: next(times), report=lines.append)
+    assert len(lines) == 2
+    assert read_card(target) == {
+        "kernels": 6, "steps": 5, "seconds": 50, "settings": {"steps": 5, "batch": 2, "rate": 1.5e-3, "seed": 0},
+    }  # fmt: skip
+    trainer = Trainer(kernels, settings)
+    for _ in range(5):
+        trainer.update()
+    found = load_correction(target).state_dict()
+    for name, value in trainer.average.items():
+        torch.testing.assert_close(found[name], value, atol=2e-3, rtol=2e-3)
+
+
+def test_a_network_that_changes_nothing_gains_nothing(kernels):
+    maps = kernels.maps.clone()
+    maps[:, 0] = maps[:, 0].clamp(min=0)
+    before, after = corrected_mnc(Kernels(maps, kernels.truth), CorrectionNetwork().eval())
+    assert after == pytest.approx(before, abs=1e-4)
+    assert 0.5 < before < 0.95
+
+
+def test_the_commands_prepare_train_and_evaluate(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(samples_module, "SHARD_PHOTOS", 1)
+    monkeypatch.setattr(samples_module, "PmpEstimator", lambda: PmpEstimator(starts=(Start(15), Start(21))))
+    monkeypatch.setattr(samples_module, "LEAST_ALIKE", 0.0)
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for name in "ab":
+        write_image(photos / f"{name}.png", np.kron(np.random.default_rng(0).random((33, 33, 3)), np.ones((10, 10, 1))))
+    config = tmp_path / "run.toml"
+    config.write_text(f'[data]\nphotos = "{photos}"\nheld_out = 2\n[motions]\nmax_length_px = 12\n', encoding="utf-8")
+    folder, target = tmp_path / "kernels", tmp_path / "c.safetensors"
+    assert run(["prepare", str(config), "-o", str(folder), "--shards", "0:1"]) == 0
+    assert run(["train", str(folder), "-o", str(target), "--steps", "1"]) == 0
+    assert read_card(target)["steps"] == 1
+    assert run(["evaluate", str(folder), "--weights", str(target)]) == 0
+    assert re.fullmatch(r"2 kernels: MNC [\d.]+ -> [\d.]+\n", capsys.readouterr().out)
+
+
+# ---- bad input
+
+
+def test_bad_input_gives_one_line(tmp_path, capsys):
+    for command in (
+        ["train", str(tmp_path / "nowhere"), "-o", str(tmp_path / "c.safetensors")],
+        ["evaluate", str(tmp_path)],
+        ["prepare", str(tmp_path / "no.toml"), "-o", str(tmp_path / "kernels")],
+    ):
+        assert run(command) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ValueError, match="steps: must be at least 1, got 0"):
+        Settings(steps=0)
